@@ -171,8 +171,8 @@ def batch(
 def _portable(config: Config) -> Config:
     """Return the configuration with absolute paths of existing files; workers run in other folders."""
     named = {
-        "scan": ("poses", "calibration", "masks", "adjusted_cameras"),
-        "photos": ("poses", "calibration", "masks", "adjusted_cameras"),
+        "scan": ("poses", "calibration", "masks", "adjusted_cameras", "depth_calibration"),
+        "photos": ("poses", "calibration", "masks", "adjusted_cameras", "depth_calibration"),
         "texture": ("images",),
         "depth": ("model",),
     }

@@ -4,7 +4,11 @@ trajectory.tum   camera-to-world poses of all frames that have a pose; frames th
                  their input pose
 cameras.json     adjusted poses as 4x4 matrices by frame index, with frame names; the adjusted colour camera
                  and the rolling-shutter rotations, if any; whether the adjustment was accepted, and why
-                 (`scan.adjusted_cameras` reads this file)
+                 (`scan.adjusted_cameras` reads this file). `depth_calibration` only exists if depth is
+                 corrected.
+depth_calibration.json
+                 the same correction of depth, for other scans of the sensor (`scan.depth_calibration`);
+                 only if depth is corrected
 
 A rejected adjustment has no trajectory.tum, and the frames keep their poses.
 """
@@ -24,6 +28,12 @@ from scanloom.stages.adjusting.adjustment_result import Adjustment
 from scanloom.stages.frames.rigid_pose import require_rigid_pose
 from scanloom.stages.scans.model.scan import Camera, Frame, Scan
 from scanloom.stages.scans.trajectory.trajectory_formats import write_tum
+from scanloom.stages.scans.transforms.depth_calibration import (
+    DEPTH_CALIBRATION_FILE,
+    parse_depth_calibration,
+    to_depth_calibration_table,
+    write_depth_calibration,
+)
 
 _FILE = "cameras.json"
 
@@ -64,6 +74,9 @@ def write_adjusted(folder: Path, adjustment: Adjustment) -> Mapping[str, Any]:
         "poses": {str(place): pose.tolist() for place, pose in poses.items()},
         "shutter_turns": _collect_shutter_rotations(adjustment),
     }
+    if adjustment.depth_correction is not None:
+        document["depth_calibration"] = to_depth_calibration_table(adjustment.depth_correction)
+        write_depth_calibration(folder / DEPTH_CALIBRATION_FILE, adjustment.depth_correction)
     (folder / _FILE).write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8", newline="\n")
     return adjustment.to_dict()
 
@@ -87,6 +100,11 @@ def apply_adjusted(scan: Scan, folder: Path) -> Scan:
             np.array(document["color_from_depth"]),
         )
         frames = [_set_color_camera(frame, camera, color_from_depth) for frame in frames]
+    if document.get("depth_calibration") is not None:
+        correction = parse_depth_calibration(document["depth_calibration"], folder / _FILE)
+        frames = [
+            frame if frame.depth is None else replace(frame, depth_correction=correction) for frame in frames
+        ]
     return replace(scan, frames=frames)
 
 

@@ -202,6 +202,8 @@ def _get_signature(path: Path) -> _Signature:
 
 def _to_plain_frame(frame: Frame, contents: Mapping[Path, str]) -> dict[str, Any]:
     names = [f.name for f in dataclasses.fields(frame) if f.name not in _LABEL_FIELDS]
+    # Frames without a depth correction keep the digest from before this field existed.
+    names = [name for name in names if name != "depth_correction" or frame.depth_correction is not None]
     return {name: _to_plain(getattr(frame, name), contents) for name in names}
 
 

@@ -76,6 +76,7 @@ def _transfer_pose(frame: Frame, neighbour: Frame, found: dict[str, Frame]) -> F
         camera=used.camera if frame.camera.is_guess else frame.camera,
         color_camera=used.color_camera,
         color_from_depth=used.color_from_depth,
+        depth_correction=used.depth_correction,
         # Zero marks a rolling shutter: the rotation of this frame itself is estimated during the comparison.
         shutter_turn=None if used.shutter_turn is None else np.zeros(3),
     )

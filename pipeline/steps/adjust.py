@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from scanloom.pipeline.artifacts.adjusted_cameras import ADJUSTED_FOLDER, AdjustedCameras, write_adjusted
@@ -48,15 +48,20 @@ def _run(inputs: AdjustInputs, params: AdjustParams, context: Context) -> Mappin
         # Reject a wrong pose convention here, as fuse does. Suspicious poses only produce a warning, see
         # below.
         require_poses(scan)
-    found = adjust(scan, params, progress=context.progress)
+    is_measured = isinstance(inputs.frames, Scan)
+    if not is_measured and params.depth is None:
+        # Errors of depth computed from stereo pairs are not those of a depth sensor.
+        params = replace(params, depth=False)
+    # Poses of `register` come from the same depth, so they do not fix its scale.
+    has_metric_poses = inputs.poses is None and is_measured
+    found = adjust(scan, params, progress=context.progress, has_metric_poses=has_metric_poses)
     if found.accepted:
         (context.folder / ADJUSTED_FOLDER).mkdir()
         write_adjusted(context.folder / ADJUSTED_FOLDER, found)
     metrics = found.to_dict()
     # Only check sensor depth: depth from stereo pairs or views has correlated errors that look like pose
     # errors.
-    are_given = inputs.poses is None and isinstance(inputs.frames, Scan)
-    if checks_poses and are_given and not found.accepted:
+    if checks_poses and has_metric_poses and not found.accepted:
         warn_inexact_poses(scan.frames)
     return metrics
 

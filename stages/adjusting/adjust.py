@@ -22,6 +22,7 @@ from scanloom.stages.adjusting.cameras import (
 )
 from scanloom.stages.adjusting.codes import ADJUST_IMAGES_MISMATCH
 from scanloom.stages.adjusting.color_camera_prior import SilhouettePrior, create_silhouette_prior
+from scanloom.stages.adjusting.depth_calibration import DepthAgreement, estimate_pose_scale
 from scanloom.stages.adjusting.key_frames import select_key_frames
 from scanloom.stages.adjusting.matching import match_views
 from scanloom.stages.adjusting.problem import FreeParameters
@@ -47,6 +48,7 @@ from scanloom.stages.diagnostics.collector import collecting, emit
 from scanloom.stages.params import check_parameters, param, resolve
 from scanloom.stages.printing import format_count
 from scanloom.stages.progress import Progress, ignore_progress
+from scanloom.stages.scans.model.depth_correction import DepthCorrection
 from scanloom.stages.scans.model.prefetch import get_worker_count, map_ordered
 from scanloom.stages.scans.model.scan import Frame, Scan, SkippedFrame
 
@@ -55,7 +57,7 @@ if TYPE_CHECKING:
 
     from scanloom.stages.params.keywords import AdjustKeywords
 
-RESULT_VERSION = 7
+RESULT_VERSION = 8
 
 # Maximum relative rise of the median transfer error when silhouettes correct the colour camera.
 _MAX_ERROR_RISE = 0.05
@@ -101,6 +103,11 @@ class AdjustParams:
         "Estimate the rotation of cameras while image rows are read out (rolling shutter). Default: if "
         "clearly better. true always estimates it, false assumes that all rows are read at once.",
     )
+    depth: bool | None = param(
+        None,
+        "Fit a smooth correction of depth over image position and range. Default: if overlapping frames "
+        "agree clearly better. true always fits it, false keeps depth as given.",
+    )
     pose_sigma: float = param(
         0.02,
         "Standard deviation of the given poses: translation, and rotation with 0.3° per 10 mm.",
@@ -118,6 +125,7 @@ def adjust(
     params: AdjustParams | None = None,
     *,
     progress: Progress = ignore_progress,
+    has_metric_poses: bool = True,
     **changes: Unpack[AdjustKeywords],
 ) -> Adjustment:
     """Refine camera poses and the colour camera by bundle adjustment.
@@ -127,14 +135,17 @@ def adjust(
     poses stay. Otherwise keypoints of at least three frames are joined into tracks. Bundle adjustment fits
     poses, points and one colour camera to keypoint positions and measured depth, with a prior on the given
     poses. Rolling-shutter rotations are fitted, too, if they clearly reduce the error. Every fifth track is
-    held out; results that do not improve the held-out tracks are discarded. Equal input gives bit-identical
-    results on any number of threads.
+    held out; results that do not improve the held-out tracks are discarded. A smooth correction of depth is
+    fitted with the poses, and used if overlapping depth maps agree clearly better at held-out points. Equal
+    input gives bit-identical results on any number of threads.
 
     Parameters
     ----------
     scan : frames with colour, depth and poses; other frames are returned unchanged.
     params : AdjustParams; single fields can be passed by name instead.
     progress : called with the number of finished steps and the total number of steps.
+    has_metric_poses : the given poses are measured independently of depth, so that they can fix the scale of
+        corrected depth.
 
     Returns
     -------
@@ -144,16 +155,20 @@ def adjust(
     ----------
     Triggs, McLauchlan, Hartley and Fitzgibbon, "Bundle adjustment – a modern synthesis", 2000; Hedborg,
     Forssén, Felsberg and Ringaby, "Rolling shutter bundle adjustment", 2012; Levinson and Thrun, "Automatic
-    online calibration of cameras and lasers", 2013. Features and fundamental matrices are computed with
+    online calibration of cameras and lasers", 2013; Teichman, Miller and Thrun, "Unsupervised intrinsic
+    calibration of depth sensors via SLAM", 2013. Features and fundamental matrices are computed with
     OpenCV, sparse algebra with SciPy.
     """
     params = resolve(AdjustParams, params, changes)
     with collecting() as diagnostics:
-        found = _adjust_if_needed(tuple(scan.frames if isinstance(scan, Scan) else scan), params, progress)
+        frames = tuple(scan.frames if isinstance(scan, Scan) else scan)
+        found = _adjust_if_needed(frames, params, progress, has_metric_poses=has_metric_poses)
     return replace(found, diagnostics=tuple(diagnostics))
 
 
-def _adjust_if_needed(frames: tuple[Frame, ...], params: AdjustParams, progress: Progress) -> Adjustment:
+def _adjust_if_needed(
+    frames: tuple[Frame, ...], params: AdjustParams, progress: Progress, *, has_metric_poses: bool
+) -> Adjustment:
     """Adjust frames unless a sample shows that they already agree."""
     start = time.perf_counter()
     frame_indices = find_usable_frames(frames)
@@ -172,7 +187,9 @@ def _adjust_if_needed(frames: tuple[Frame, ...], params: AdjustParams, progress:
     if agreement.median_px < _AGREEMENT_PX:
         reason = f"colour, depth and poses agree to {agreement.median_px:.2f} px already"
         return _create_rejected_result(prepared, reason, agreement.skipped, before)
-    return _adjust_frames(prepared, frame_indices, agreement, params, progress)
+    return _adjust_frames(
+        prepared, frame_indices, agreement, params, progress, has_metric_poses=has_metric_poses
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -249,6 +266,8 @@ def _adjust_frames(
     agreement: AgreementSample,
     params: AdjustParams,
     progress: Progress,
+    *,
+    has_metric_poses: bool,
 ) -> Adjustment:
     frames = prepared.frames
     poses = np.stack([_get_pose(frames[place]) for place in frame_indices])
@@ -291,6 +310,7 @@ def _adjust_frames(
         prior,
         camera,
         params.shutter,
+        _may_fit_depth(frames, params),
         lambda cameras: _constrain_camera_by_silhouettes(prepared, key_views[0], cameras),
         lambda: steps.advance(1),
     )
@@ -310,7 +330,13 @@ def _adjust_frames(
         steps.finish()
         _report_mismatch(implausible_reason)
         return _create_rejected_result(prepared, implausible_reason, skipped, before, after)
-    cameras = bundle_result.cameras
+    corrected_views, cameras, correction = _finish_depth_correction(
+        bundle_result, frames[keys[0]], start if has_metric_poses else None
+    )
+    bundle_result = replace(bundle_result, cameras=cameras)
+    if correction is not None:
+        views = dict(zip(keys, corrected_views, strict=True))
+        frames = tuple(_correct_depth(frame, correction) for frame in frames)
     found_poses = {
         place: LocalisedFrame(pose, turn)
         for place, pose, turn, count in zip(
@@ -340,7 +366,7 @@ def _adjust_frames(
         adjusted_indices=tuple(sorted(found_poses)),
         accepted=True,
         reason=f"{_name_adjusted_parts(prepared, bundle_result)} adjusted: "
-        f"{reason}{_describe_skipped(skipped)}",
+        f"{reason}{_describe_depth(correction, bundle_result.depth_agreement)}{_describe_skipped(skipped)}",
         is_camera_adjusted=has_camera,
         is_shutter_adjusted=bundle_result.is_shutter_adjusted,
         offset_before=prepared.offset,
@@ -356,8 +382,68 @@ def _adjust_frames(
         translation_mm=(1000 * float(np.median(moved[:, 0])), 1000 * float(moved[:, 0].max())),
         rotation_deg=(float(np.median(moved[:, 1])), float(moved[:, 1].max())),
         readout_rotation_deg=(float(np.median(turns)), float(turns.max())),
+        depth_correction=correction,
+        depth_agreement=bundle_result.depth_agreement,
         seconds=time.perf_counter() - prepared.start,
     )
+
+
+def _may_fit_depth(frames: Sequence[Frame], params: AdjustParams) -> bool | None:
+    """Return whether to fit a depth correction; False if frames have one, or depth cameras differ."""
+    with_depth = [frame for frame in frames if frame.depth is not None]
+    is_plain = all(
+        frame.depth_correction is None and frame.camera == with_depth[0].camera for frame in with_depth
+    )
+    return params.depth if is_plain else False
+
+
+def _finish_depth_correction(
+    bundle_result: BundleResult, frame: Frame, given: Cameras | None
+) -> tuple[Sequence[AdjustmentView], Cameras, DepthCorrection | None]:
+    """Scale corrected depth and poses to the given poses.
+
+    Parameters
+    ----------
+    frame : frame with the depth camera.
+    given : cameras with given poses that fix the scale; None without such poses.
+
+    Returns
+    -------
+    Views, cameras, and the correction for stored depth maps; the correction is None if depth stays as given.
+    """
+    views, cameras = bundle_result.views, bundle_result.cameras
+    correction = views[0].depth_correction
+    if correction is None:
+        return views, cameras, None
+    centres = cameras.poses[:, :3, 3]
+    scale = None if given is None else estimate_pose_scale(given.poses[:, :3, 3], centres)
+    if scale is not None:
+        correction = correction.scale_depth(scale)
+        middle = centres.mean(axis=0)
+        poses, color_from_depth = cameras.poses.copy(), cameras.color_from_depth.copy()
+        poses[:, :3, 3] = middle + scale * (centres - middle)
+        if bundle_result.is_camera_adjusted:
+            color_from_depth[:, :3, 3] *= scale
+        cameras = replace(cameras, poses=poses, color_from_depth=color_from_depth)
+        views = [replace(view, depth_correction=correction) for view in views]
+    return views, cameras, replace(correction, width=frame.camera.width, height=frame.camera.height)
+
+
+def _describe_depth(correction: DepthCorrection | None, agreement: DepthAgreement | None) -> str:
+    """Format a clause about the depth correction; empty if no correction was fitted."""
+    if agreement is None:
+        return ""
+    if correction is None:
+        return "; depth left as given: a correction does not make frames agree clearly better"
+    low, high = correction.compute_range_percent()
+    return (
+        f"; depth is corrected by {low:.1f} to {high:.1f} %, and overlapping frames agree to "
+        f"{agreement.after_mm:.1f} mm instead of {agreement.before_mm:.1f} mm"
+    )
+
+
+def _correct_depth(frame: Frame, correction: DepthCorrection) -> Frame:
+    return frame if frame.depth is None else replace(frame, depth_correction=correction)
 
 
 def _constrain_camera_by_silhouettes(
@@ -385,6 +471,8 @@ def _name_adjusted_parts(prepared: _PreparedFrames, bundle_result: BundleResult)
         names.append("colour camera")
     if bundle_result.is_shutter_adjusted:
         names.append("rolling shutter")
+    if bundle_result.views[0].depth_correction is not None:
+        names.append("depth")
     return " and ".join(filter(None, (", ".join(names[:-1]), names[-1])))
 
 

@@ -8,9 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from scanloom.stages.adjusting.depth_calibration import DepthAgreement
 from scanloom.stages.adjusting.silhouette_offset import PhotoOffset
 from scanloom.stages.diagnostics.diagnostic import Diagnostic
 from scanloom.stages.printing import format_by_metrics, render_table
+from scanloom.stages.scans.model.depth_correction import DepthCorrection
 from scanloom.stages.scans.model.scan import Camera, Frame, SkippedFrame
 
 
@@ -59,6 +61,9 @@ class Adjustment:
     readout_rotation_deg : median and maximum rotation from the first to the last image row, degrees.
     seconds : run time.
     diagnostics : warnings.
+    depth_correction : correction of depth that the frames have now; None if depth stays as given.
+    depth_agreement : agreement of overlapping depth maps without and with a correction, used or not; None if
+        none was fitted.
     """
 
     frames: tuple[Frame, ...]
@@ -82,6 +87,8 @@ class Adjustment:
     readout_rotation_deg: tuple[float, float]
     seconds: float
     diagnostics: tuple[Diagnostic, ...] = ()
+    depth_correction: DepthCorrection | None = None
+    depth_agreement: DepthAgreement | None = None
 
     __repr__ = format_by_metrics
     _repr_html_ = render_table
@@ -104,6 +111,11 @@ class Adjustment:
             "color_camera_adjusted": self.is_camera_adjusted,
             "color_camera_before": self.camera_before and asdict(self.camera_before),
             "color_camera_after": self.camera_after and asdict(self.camera_after),
+            "depth_corrected": self.depth_correction is not None,
+            "depth_correction_percent": self.depth_correction
+            and list(self.depth_correction.compute_range_percent()),
+            "depth_distance_before_mm": self.depth_agreement and self.depth_agreement.before_mm,
+            "depth_distance_after_mm": self.depth_agreement and self.depth_agreement.after_mm,
             "shutter_adjusted": self.is_shutter_adjusted,
             "shutter_rotation_median_deg": self.readout_rotation_deg[0],
             "shutter_rotation_max_deg": self.readout_rotation_deg[1],

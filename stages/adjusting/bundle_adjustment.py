@@ -6,7 +6,7 @@ Held-out tracks decide which model is used.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import NamedTuple
 
@@ -15,6 +15,13 @@ from numpy.typing import NDArray
 
 from scanloom.stages.adjusting.cameras import CAMERA_PARAMETER_COUNT, Cameras
 from scanloom.stages.adjusting.color_camera_prior import SilhouettePrior
+from scanloom.stages.adjusting.depth_calibration import (
+    DepthAgreement,
+    compute_depth_precision,
+    create_neutral_correction,
+    has_common_depth_camera,
+    measure_depth_agreement,
+)
 from scanloom.stages.adjusting.matching import (
     MAX_GAP_RATIO,
     Matches,
@@ -27,7 +34,7 @@ from scanloom.stages.adjusting.solver import solve
 from scanloom.stages.adjusting.surface_points import SurfacePoints
 from scanloom.stages.adjusting.tracks import Tracks, build_tracks
 from scanloom.stages.adjusting.unprojection import transform_to_world, unproject_pixels
-from scanloom.stages.adjusting.view import AdjustmentView
+from scanloom.stages.adjusting.view import AdjustmentView, correct_views
 
 # One of this many tracks is held out.
 _HOLD_OUT_STRIDE = 5
@@ -37,6 +44,8 @@ _FOCAL_FACTORS = (1.0, 0.9)
 # Approximate number of tracks in the fits that select a model; rounds of depth lookup, and solver steps in
 # each round.
 _MODEL_TRACK_COUNT, _LOOKUP_ROUNDS, _STEPS_PER_ROUND = 1500, 4, 3
+# Rounds of the fit of the depth correction. Few suffice, because cameras are fitted already.
+_DEPTH_ROUNDS = 3
 # Maximum error ratio for accepting a fitted colour camera, at this percentile of the transfer error. The
 # percentile is high because a wrong lens shows most at the image border.
 _MAX_CAMERA_RATIO, _ERROR_PERCENTILE = 0.8, 90
@@ -60,6 +69,9 @@ class BundleResult:
         cases, pixels.
     point_count : number of adjusted points.
     observation_counts : (m,) number of observations in each view.
+    views : the views, with the depth correction if one is used.
+    depth_agreement : agreement of depth maps on held-out points without and with a correction; None if no
+        correction was fitted.
     """
 
     cameras: Cameras
@@ -69,6 +81,8 @@ class BundleResult:
     errors_after: NDArray[np.float64]
     point_count: int
     observation_counts: NDArray[np.intp]
+    views: Sequence[AdjustmentView]
+    depth_agreement: DepthAgreement | None
 
 
 def run_bundle_adjustment(
@@ -78,6 +92,7 @@ def run_bundle_adjustment(
     pose_prior: NDArray[np.float64],
     camera: bool | None,
     shutter: bool | None,
+    depth: bool | None,
     apply_silhouettes: Callable[[Cameras], tuple[Cameras, SilhouettePrior | None]],
     on_step: Callable[[], object],
 ) -> BundleResult | None:
@@ -91,6 +106,7 @@ def run_bundle_adjustment(
     pose_prior : (6,) standard deviations of the given poses, metres and radians.
     camera : fit the colour camera; None accepts it only if held-out points become clearly better.
     shutter : fit rolling-shutter rotations; None as for `camera`.
+    depth : fit a smooth correction of depth; None as for `camera`.
     apply_silhouettes : corrects a fitted colour camera by silhouettes and returns it with a prior. If the
         offset is
         unclear, it returns the cameras unchanged and None.
@@ -119,10 +135,7 @@ def run_bundle_adjustment(
         return compute_match_errors(views, cameras, held_out_matches)
 
     training_tracks = all_tracks.select(~is_held_out)
-    model_tracks = training_tracks.select(
-        np.arange(training_tracks.point_count) % max(training_tracks.point_count // _MODEL_TRACK_COUNT, 1)
-        == 0
-    )
+    model_tracks = _subsample_tracks(training_tracks)
     best = given if camera else fitted(given, model_tracks, FreeParameters())
     has_camera = has_turns = False
     on_step()
@@ -156,9 +169,17 @@ def run_bundle_adjustment(
     if not training_tracks.point_count:
         return None
     best, silhouette_prior = apply_silhouettes(best) if has_camera else (best, None)
-    best = fitted(best, training_tracks, FreeParameters(has_camera, has_turns), silhouette_prior)
+    free = FreeParameters(has_camera, has_turns)
+    agreement = None
+    if depth is not False:
+        subset = _subsample_tracks(training_tracks)
+        measured, best, agreement = _fit_depth(
+            measured, best, subset, free, silhouette_prior, is_forced=depth is True
+        )
+    best = fit_cameras(measured, best, training_tracks, free, silhouette_prior)
     on_step()
-    before, after = compute_errors(given), compute_errors(best)
+    before = compute_errors(given)
+    after = compute_match_errors(measured.views, best, held_out_matches)
     both = ~(np.isnan(before) | np.isnan(after))
     return BundleResult(
         cameras=best,
@@ -168,6 +189,15 @@ def run_bundle_adjustment(
         errors_after=after[both],
         point_count=training_tracks.point_count,
         observation_counts=np.bincount(training_tracks.view_indices, minlength=len(views)),
+        views=measured.views,
+        depth_agreement=agreement,
+    )
+
+
+def _subsample_tracks(tracks: Tracks) -> Tracks:
+    """Return about `_MODEL_TRACK_COUNT` tracks, evenly spaced."""
+    return tracks.select(
+        np.arange(tracks.point_count) % max(tracks.point_count // _MODEL_TRACK_COUNT, 1) == 0
     )
 
 
@@ -226,6 +256,69 @@ def fit_cameras(
         problem = problem.update_planes(fit_input.views, state)
         state = solve(problem, state, _STEPS_PER_ROUND)
     return state.cameras
+
+
+class _DepthFit(NamedTuple):
+    """Fit of the depth correction.
+
+    Attributes
+    ----------
+    fit_input : input with corrected views if the correction is used.
+    cameras : cameras fitted with the correction, or without if it is not used.
+    agreement : agreement of depth maps on held-out points; None if it could not be measured.
+    """
+
+    fit_input: FitInput
+    cameras: Cameras
+    agreement: DepthAgreement | None
+
+
+def _fit_depth(
+    fit_input: FitInput,
+    start: Cameras,
+    training_tracks: Tracks,
+    free: FreeParameters,
+    silhouette_prior: SilhouettePrior | None,
+    *,
+    is_forced: bool,
+) -> _DepthFit:
+    """Fit cameras and a smooth correction of depth.
+
+    Parameters
+    ----------
+    start : cameras fitted without correction.
+    is_forced : use the correction even if held-out points do not clearly agree better.
+    """
+    views, pairs = fit_input.views, fit_input.surfaces.pair_indices
+    unused = _DepthFit(fit_input, start, None)
+    neutral = create_neutral_correction(views) if has_common_depth_camera(views) and len(pairs) else None
+    if neutral is None:
+        return unused
+    neutral_views = [replace(view, depth_correction=neutral) for view in views]
+    surfaces = fit_input.surfaces.with_depth_basis(neutral_views)
+    with_basis = fit_input._replace(views=neutral_views, surfaces=surfaces)
+    prepared = _set_up_problem(
+        with_basis, start, training_tracks, free._replace(depth=True), silhouette_prior
+    )
+    if prepared is None:
+        return unused
+    problem, state = prepared
+    problem = replace(problem, depth_precision=compute_depth_precision(surfaces))
+    state = replace(state, depth_coefficients=np.zeros(surfaces.basis.shape[1]))
+    for number in range(_DEPTH_ROUNDS):
+        problem = problem.update_planes(neutral_views, state)
+        state = solve(problem, state, _STEPS_PER_ROUND)
+        corrected_views = correct_views(neutral_views, state.depth_coefficients)
+        # Without correction, cameras have converged: more steps alone gain less than 1 %.
+        agreement = measure_depth_agreement(pairs, (views, start), (corrected_views, state.cameras))
+        is_last = number == _DEPTH_ROUNDS - 1
+        is_better = agreement is not None and (agreement.is_clear if is_last else agreement.is_promising)
+        if not (is_better or is_forced):
+            return unused._replace(agreement=agreement)
+    corrected = fit_input._replace(
+        views=corrected_views, surfaces=SurfacePoints.from_views(corrected_views, pairs)
+    )
+    return _DepthFit(corrected, state.cameras, agreement)
 
 
 def _fit_views_separately(fit_input: FitInput, start: Cameras, training_tracks: Tracks) -> Cameras:

@@ -7,7 +7,7 @@ surfaces of two views, and deviation of poses and colour camera from the given o
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -36,8 +36,8 @@ from scanloom.stages.adjusting.rolling_shutter import (
 )
 from scanloom.stages.adjusting.surface_points import SurfacePoints
 from scanloom.stages.adjusting.tracks import Tracks
-from scanloom.stages.adjusting.unprojection import measure_planes
-from scanloom.stages.adjusting.view import AdjustmentView
+from scanloom.stages.adjusting.unprojection import compute_depth_basis, measure_planes
+from scanloom.stages.adjusting.view import AdjustmentView, correct_views
 
 # Standard deviation of a keypoint, pixels, and Huber thresholds of pixel and depth residuals, in standard
 # deviations.
@@ -67,29 +67,34 @@ class AdjustmentState:
     cameras : cameras of all views.
     points : (p, 3) metres, world.
     camera_change : (10,) accumulated change of the colour cameras, see `CAMERA_PARAMETER_COUNT`.
+    depth_coefficients : (d,) coefficients of the depth correction; empty if it is not fitted.
     """
 
     cameras: Cameras
     points: NDArray[np.float64]
     camera_change: NDArray[np.float64]
+    depth_coefficients: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
 
     def apply_step(
         self,
         pose_steps: NDArray[np.float64],
-        camera_step: NDArray[np.float64],
+        shared_step: NDArray[np.float64],
         point_steps: NDArray[np.float64],
     ) -> AdjustmentState:
         """Return the state after a step of the unknowns.
 
         Parameters
         ----------
-        pose_steps, camera_step : (m, 6) or (m, 9), and (10,), see `Cameras.apply_step`.
+        pose_steps : (m, 6) or (m, 9), see `Cameras.apply_step`.
+        shared_step : (10 + d,) step of the colour camera and of the depth coefficients.
         point_steps : (p, 3) metres, world.
         """
+        camera_step = shared_step[:CAMERA_PARAMETER_COUNT]
         return AdjustmentState(
             self.cameras.apply_step(pose_steps, camera_step),
             self.points + point_steps,
             self.camera_change + camera_step,
+            self.depth_coefficients + shared_step[CAMERA_PARAMETER_COUNT:],
         )
 
 
@@ -101,16 +106,20 @@ class TangentPlanes:
     ----------
     normals : (n, 3).
     depths, sigmas_m : (n,) metres; a depth of 0 disables the plane.
+    by_depth : (n, d) derivatives of `depths` by the coefficients of the depth correction, metres.
+    coefficients : (d,) coefficients that `depths` are corrected with.
     """
 
     normals: NDArray[np.float64]
     depths: NDArray[np.float64]
     sigmas_m: NDArray[np.float64]
+    by_depth: NDArray[np.float64]
+    coefficients: NDArray[np.float64]
 
     @classmethod
     def create_disabled(cls, count: int) -> TangentPlanes:
         """Create planes that are all disabled."""
-        return cls(np.zeros((count, 3)), np.zeros(count), np.ones(count))
+        return cls(np.zeros((count, 3)), np.zeros(count), np.ones(count), np.zeros((count, 0)), np.zeros(0))
 
     @classmethod
     def from_views(
@@ -119,6 +128,7 @@ class TangentPlanes:
         view_indices: NDArray[np.intp],
         points: NDArray[np.float64],
         sigma_factor: float,
+        coefficients: NDArray[np.float64],
     ) -> TangentPlanes:
         """Measure the planes at points, and disable planes of other surfaces.
 
@@ -127,18 +137,26 @@ class TangentPlanes:
         view_indices : (n,) index of the view of each point.
         points : (n, 3) metres, depth-camera axes of that view.
         sigma_factor : factor on the standard deviation of depth.
+        coefficients : (d,) coefficients of the depth correction of the views; empty if it is not fitted.
         """
         normals, depths, slopes = measure_planes(views, view_indices, points)
         deviations = sigma_factor * np.hypot(compute_depth_sigma(depths), slopes)
         off = np.abs((normals * points).sum(axis=1) - depths) > _MAX_DEPTH_SIGMAS * deviations
-        return cls(normals, np.where(off, 0, depths), deviations)
+        by_depth = np.zeros((len(points), 0))
+        if len(coefficients):
+            by_depth = compute_depth_basis(views, view_indices, points) * depths[:, None]
+        return cls(normals, np.where(off, 0, depths), deviations, by_depth, coefficients)
 
-    def compute_residuals(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Compute the distance (n,) of points (n, 3) behind their planes.
+    def compute_residuals(
+        self, points: NDArray[np.float64], coefficients: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Compute the distance (n,) of points (n, 3) behind their planes, for depth coefficients (d,).
 
         In standard deviations; 0 for disabled planes.
         """
         far = (self.normals * points).sum(axis=1) - self.depths
+        if len(coefficients):
+            far -= self.by_depth @ (coefficients - self.coefficients)
         return np.asarray(np.where(self.depths > 0, far, 0) / self.sigmas_m)
 
     def compute_derivatives(
@@ -159,10 +177,11 @@ class TangentPlanes:
 
 
 class FreeParameters(NamedTuple):
-    """Optional unknowns: the colour camera, and rotations during readout (rolling shutter)."""
+    """Optional unknowns: the colour camera, rotations during readout (rolling shutter), depth correction."""
 
     camera: bool = False
     shutter: bool = False
+    depth: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,6 +199,8 @@ class AdjustmentProblem:
     free : optional unknowns.
     width : image width, pixels.
     silhouette_prior : prior on the colour camera from silhouettes; None without.
+    depth_precision : (d, d) inverse covariance of the prior on the depth coefficients; empty if they are not
+        fitted.
     """
 
     tracks: Tracks
@@ -191,6 +212,7 @@ class AdjustmentProblem:
     free: FreeParameters
     width: int
     silhouette_prior: SilhouettePrior | None
+    depth_precision: NDArray[np.float64]
 
     @classmethod
     def from_tracks(
@@ -203,6 +225,7 @@ class AdjustmentProblem:
         free: FreeParameters | None = None,
         width: int = 1,
         silhouette_prior: SilhouettePrior | None = None,
+        depth_precision: NDArray[np.float64] | None = None,
     ) -> AdjustmentProblem:
         """Create a problem with all planes disabled; `update_planes` measures the planes."""
         surfaces = SurfacePoints.create_empty() if surfaces is None else surfaces
@@ -220,16 +243,24 @@ class AdjustmentProblem:
             free or FreeParameters(),
             width,
             silhouette_prior,
+            np.zeros((0, 0)) if depth_precision is None else depth_precision,
         )
 
     def update_planes(self, views: Sequence[AdjustmentView], state: AdjustmentState) -> AdjustmentProblem:
         """Return the problem with planes measured at the current state."""
+        coefficients = state.depth_coefficients
+        if len(coefficients):
+            views = correct_views(views, coefficients)
         planes = TangentPlanes.from_views(
-            views, self.tracks.view_indices, _to_depth_camera(state, self.tracks), 1.0
+            views, self.tracks.view_indices, _to_depth_camera(state, self.tracks), 1.0, coefficients
         )
         other = self.surfaces.pair_indices[self.surfaces.pair_of_point, 1]
         meetings = TangentPlanes.from_views(
-            views, other, self.transform_surface_points(state).other_readout, _SURFACE_SIGMA_FACTOR
+            views,
+            other,
+            self.transform_surface_points(state).other_readout,
+            _SURFACE_SIGMA_FACTOR,
+            coefficients,
         )
         return replace(self, planes=planes, surface_planes=meetings)
 
@@ -239,7 +270,9 @@ class AdjustmentProblem:
         first, other = surfaces.pair_indices.T
         moves = (invert_poses(poses[other]) @ poses[first])[surfaces.pair_of_point]
         here = transform_to_middle_row(
-            surfaces.points, turns[first][surfaces.pair_of_point], surfaces.readout_times
+            surfaces.correct_points(state.depth_coefficients),
+            turns[first][surfaces.pair_of_point],
+            surfaces.readout_times,
         )
         middle = transform_points(moves, here)
         which = other[surfaces.pair_of_point]
@@ -252,16 +285,30 @@ class AdjustmentProblem:
     def compute_cost(self, state: AdjustmentState) -> float:
         """Compute half the robust (Huber) sum of squared residuals."""
         pixel, depth, poses, camera = self._compute_residuals(state)
-        meeting = self.surface_planes.compute_residuals(self.transform_surface_points(state).other_readout)
+        meeting = self.compute_surface_residuals(state)
         return float(
             _compute_huber_loss(np.hypot(*pixel.T), _HUBER_PIXEL).sum()
             + _compute_huber_loss(np.abs(depth), _HUBER_DEPTH).sum()
             + _compute_huber_loss(np.abs(meeting), _HUBER_DEPTH).sum()
             + 0.5 * (poses**2).sum()
             + 0.5 * (camera**2).sum()
+            + 0.5 * self._compute_depth_prior_cost(state)
             + 0.5 * (self._compute_prior_residuals(state) ** 2).sum()
             + 0.5 * self.shutter_coupling * (state.cameras.readout_rotations.sum(axis=0) ** 2).sum()
         )
+
+    def compute_surface_residuals(self, state: AdjustmentState) -> NDArray[np.float64]:
+        """Compute the distances (k,) of the surface points behind the surface of the other view.
+
+        In standard deviations; 0 without a surface there.
+        """
+        points = self.transform_surface_points(state).other_readout
+        return self.surface_planes.compute_residuals(points, state.depth_coefficients)
+
+    def _compute_depth_prior_cost(self, state: AdjustmentState) -> float:
+        if not self.free.depth:
+            return 0.0
+        return float(state.depth_coefficients @ self.depth_precision @ state.depth_coefficients)
 
     def _compute_prior_residuals(self, state: AdjustmentState) -> NDArray[np.float64]:
         return (
@@ -291,7 +338,7 @@ class AdjustmentProblem:
         shown = np.where(ahead[:, None], shown, (0, 0, 1))
         pixels, _, _ = compute_projection_derivatives(shown, cameras.lenses[tracks.view_indices])
         pixel = np.where(ahead[:, None], (pixels - tracks.pixels) / _KEYPOINT_SIGMA_PX, 1e3)
-        depth = self.planes.compute_residuals(seen)
+        depth = self.planes.compute_residuals(seen, state.depth_coefficients)
         moved = decompose_motions(invert_poses(self.given_poses) @ cameras.poses)
         if self.free.shutter:
             moved = np.concatenate([moved, cameras.readout_rotations], axis=1)
@@ -341,16 +388,27 @@ class AdjustmentProblem:
             *([by_turn] if self.free.shutter else []),
         ]
         back = cameras.poses[tracks.view_indices, :3, :3].swapaxes(1, 2)
-        by_step = np.zeros((count, 3, CAMERA_PARAMETER_COUNT))
+        depth_count = len(state.depth_coefficients)
+        by_step = np.zeros((count, 3, CAMERA_PARAMETER_COUNT + depth_count))
         anchored = np.zeros((4, CAMERA_PARAMETER_COUNT))
         if self.free.camera:
-            by_step[:, :2] = compute_camera_jacobian(shown, by_point, by_lens) / _KEYPOINT_SIGMA_PX
+            by_step[:, :2, :CAMERA_PARAMETER_COUNT] = (
+                compute_camera_jacobian(shown, by_point, by_lens) / _KEYPOINT_SIGMA_PX
+            )
             by_step *= root[:, :, None]
             anchored = (
                 anchored
                 if self.silhouette_prior is None
                 else compute_prior_jacobian(self.silhouette_prior, cameras)
             )
+        camera_gradient = camera / self.camera_sigmas + anchored.T @ self._compute_prior_residuals(state)
+        camera_weights = np.diag(1 / self.camera_sigmas**2) + anchored.T @ anchored
+        if self.free.depth:
+            scale = root[:, 2] / self.planes.sigmas_m
+            by_step[:, 2, CAMERA_PARAMETER_COUNT:] = -self.planes.by_depth * scale[:, None]
+            depth_gradient = self.depth_precision @ state.depth_coefficients
+            camera_gradient = np.concatenate([camera_gradient, depth_gradient])
+            camera_weights = _join_diagonal(camera_weights, self.depth_precision)
         return LinearisedProblem(
             surface_residuals=self._linearise_surfaces(state),
             residuals=np.concatenate([pixel, depth[:, None]], axis=1) * root,
@@ -359,8 +417,8 @@ class AdjustmentProblem:
             by_point=by_seen @ back,
             pose_gradient=moved / self.pose_sigmas + self._compute_mean_rotation_gradient(state),
             pose_weights=1 / self.pose_sigmas**2,
-            camera_gradient=camera / self.camera_sigmas + anchored.T @ self._compute_prior_residuals(state),
-            camera_weights=np.diag(1 / self.camera_sigmas**2) + anchored.T @ anchored,
+            camera_gradient=camera_gradient,
+            camera_weights=camera_weights,
         )
 
     def _compute_mean_rotation_gradient(self, state: AdjustmentState) -> NDArray[np.float64]:
@@ -377,8 +435,9 @@ class AdjustmentProblem:
 
     def _linearise_surfaces(self, state: AdjustmentState) -> SurfaceResiduals:
         across = self.transform_surface_points(state)
-        behind = self.surface_planes.compute_residuals(across.other_readout)
-        rows, root = self.surface_planes.compute_derivatives(behind)
+        planes, coefficients = self.surface_planes, state.depth_coefficients
+        behind = planes.compute_residuals(across.other_readout, coefficients)
+        rows, root = planes.compute_derivatives(behind)
         by_middle = np.einsum("ki,kij->kj", rows * root[:, None], across.readout_rotations)
         by_here = np.einsum("ki,kij->kj", by_middle, across.rotations)
         # n · (w × p) = w · (p × n)
@@ -391,7 +450,30 @@ class AdjustmentProblem:
             residuals=behind * root,
             by_first=np.concatenate(first, axis=1),
             by_other=-np.concatenate(other, axis=1),
+            by_depth=self._differentiate_surfaces_by_depth(state, by_here, root),
         )
+
+    def _differentiate_surfaces_by_depth(
+        self, state: AdjustmentState, by_here: NDArray[np.float64], root: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Differentiate the surface residuals by the depth coefficients.
+
+        Parameters
+        ----------
+        by_here : (k, 3) derivatives by the points in the axes of the first view.
+        root : (k,) square roots of the Huber weights.
+
+        Returns
+        -------
+        (k, d), weighted.
+        """
+        if not self.free.depth:
+            return np.zeros((len(root), 0))
+        surfaces, planes = self.surfaces, self.surface_planes
+        turns = state.cameras.readout_rotations[surfaces.pair_indices[:, 0]][surfaces.pair_of_point]
+        along = transform_to_middle_row(surfaces.points, turns, surfaces.readout_times)
+        first = (by_here * along).sum(axis=1)[:, None] * surfaces.basis
+        return np.asarray(first - planes.by_depth * (root / planes.sigmas_m)[:, None])
 
 
 class TransformedSurfacePoints(NamedTuple):
@@ -422,11 +504,13 @@ class SurfaceResiduals:
     ----------
     residuals : (k,) weighted, in standard deviations.
     by_first, by_other : (k, 6) or (k, 9) derivatives by the pose of the first and of the other view.
+    by_depth : (k, d) derivatives by the depth coefficients.
     """
 
     residuals: NDArray[np.float64]
     by_first: NDArray[np.float64]
     by_other: NDArray[np.float64]
+    by_depth: NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -437,10 +521,12 @@ class LinearisedProblem:
     ----------
     surface_residuals : linearised point-to-plane residuals.
     residuals : (n, 3) pixel x, pixel y and depth, weighted, in standard deviations.
-    by_pose, by_camera, by_point : Jacobians (n, 3, 6) or (n, 3, 9), (n, 3, 10) and (n, 3, 3).
+    by_pose, by_camera, by_point : Jacobians (n, 3, 6) or (n, 3, 9), (n, 3, 10 + d) and (n, 3, 3). Unknowns of
+        the colour camera are followed by the d depth coefficients.
     pose_gradient, camera_gradient : gradients of the priors on poses, (m, 6) or (m, 9), and on the colour
-        camera, (10,).
-    pose_weights, camera_weights : second derivatives of the priors: diagonal (6,) or (9,), and (10, 10).
+        camera and depth, (10 + d,).
+    pose_weights, camera_weights : second derivatives of the priors: diagonal (6,) or (9,), and
+        (10 + d, 10 + d).
     """
 
     surface_residuals: SurfaceResiduals
@@ -460,6 +546,14 @@ def compute_depth_sigma(depth: NDArray[np.float64]) -> NDArray[np.float64]:
     It grows with the square of the depth.
     """
     return np.asarray(_DEPTH_SIGMA_M + _DEPTH_SIGMA_PER_M2 * depth**2)
+
+
+def _join_diagonal(first: NDArray[np.float64], second: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Join two square matrices to a block-diagonal matrix."""
+    size = len(first)
+    joined = np.zeros((size + len(second),) * 2)
+    joined[:size, :size], joined[size:, size:] = first, second
+    return joined
 
 
 def _to_depth_camera(state: AdjustmentState, tracks: Tracks) -> NDArray[np.float64]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,6 +19,8 @@ _MIN_DECREASE_RATIO = 1e-4
 # Relative tolerance and maximum iterations of conjugate gradients. Their sums have a fixed order, so that the
 # result does not depend on the number of threads.
 _CG_TOLERANCE, _CG_MAX_ITERATIONS = 1e-7, 600
+# Rows of a block in products of long matrices.
+_BLOCK_ROWS = 64
 
 
 def solve(problem: AdjustmentProblem, state: AdjustmentState, max_steps: int) -> AdjustmentState:
@@ -97,19 +100,32 @@ class _NormalEquations:
         for which, by in ((first, surface_residuals.by_first), (other, surface_residuals.by_other)):
             np.add.at(poses, which, sum_by_pair(by[:, :, None] * by[:, None, :]))
             np.add.at(towards_poses, which, -sum_by_pair(by * surface_residuals.residuals[:, None]))
+        poses_camera = sum_by_view(pose_t @ linear.by_camera)
+        camera_rhs = -(camera_t @ off).sum(axis=0)[:, 0] - linear.camera_gradient
+        if problem.free.depth:
+            by_depth, depth = surface_residuals.by_depth, slice(CAMERA_PARAMETER_COUNT, None)
+            for which, by in ((first, surface_residuals.by_first), (other, surface_residuals.by_other)):
+                blocks = np.array([by[part].T @ by_depth[part] for part in _slice_pairs(begin, len(by))])
+                np.add.at(poses_camera[:, :, depth], which, blocks)
+            camera = _multiply_transposed(linear.by_camera.reshape(-1, linear.by_camera.shape[2]))
+            camera += linear.camera_weights
+            camera[depth, depth] += _multiply_transposed(by_depth)
+            camera_rhs[depth] -= np.einsum("ki,k->i", by_depth, surface_residuals.residuals)
+        else:
+            camera = (camera_t @ linear.by_camera).sum(axis=0) + linear.camera_weights
         return cls(
             problem=problem,
             poses=poses,
             pose_pairs=sum_by_pair(
                 surface_residuals.by_first[:, :, None] * surface_residuals.by_other[:, None, :]
             ),
-            poses_camera=sum_by_view(pose_t @ linear.by_camera),
-            camera=(camera_t @ linear.by_camera).sum(axis=0) + linear.camera_weights,
+            poses_camera=poses_camera,
+            camera=camera,
             points=sum_by_point(point_t @ linear.by_point),
             pose_point=pose_t @ linear.by_point,
             camera_point=sum_by_point(camera_t @ linear.by_point),
             pose_rhs=towards_poses,
-            camera_rhs=-(camera_t @ off).sum(axis=0)[:, 0] - linear.camera_gradient,
+            camera_rhs=camera_rhs,
             point_rhs=-sum_by_point(point_t @ off)[..., 0],
         )
 
@@ -120,7 +136,7 @@ class _NormalEquations:
 
         Returns
         -------
-        Steps of poses (m, 6) or (m, 9), of the colour camera (10,), and of points (p, 3).
+        Steps of poses (m, 6) or (m, 9), of the colour camera and depth (10 + d,), and of points (p, 3).
         """
         tracks, views, count = self.problem.tracks, len(self.poses), len(self.points)
         # half @ half.T is the inverse of the block of a point.
@@ -133,10 +149,11 @@ class _NormalEquations:
         )
         shared = self.camera_point @ half
         ends = (half.swapaxes(1, 2) @ self.point_rhs[..., None]).reshape(-1)
-        flat = shared.swapaxes(0, 1).reshape(CAMERA_PARAMETER_COUNT, -1)
+        shared_count = len(self.camera)
+        flat = shared.swapaxes(0, 1).reshape(shared_count, -1)
         size = self.poses.shape[1]
         free = size * views
-        reduced = np.zeros((free + CAMERA_PARAMETER_COUNT,) * 2)
+        reduced = np.zeros((free + shared_count,) * 2)
         at = np.arange(free).reshape(views, size)
         reduced[at[:, :, None], at[:, None, :]] = _add_damping(self.poses, damping)
         for (first, other), block in zip(self.problem.surfaces.pair_indices, self.pose_pairs, strict=True):
@@ -145,7 +162,7 @@ class _NormalEquations:
         for axis in range(POSE_PARAMETER_COUNT, size):
             reduced[np.ix_(at[:, axis], at[:, axis])] += self.problem.shutter_coupling
         reduced[:free, :free] -= (bridge @ bridge.T).toarray()
-        across = self.poses_camera.reshape(free, CAMERA_PARAMETER_COUNT) - bridge @ flat.T
+        across = self.poses_camera.reshape(free, shared_count) - bridge @ flat.T
         reduced[:free, free:], reduced[free:, :free] = across, across.T
         both = np.einsum("npi,nqi->pq", shared, shared)
         reduced[free:, free:] = _add_damping(self.camera[None], damping)[0] - both
@@ -155,12 +172,29 @@ class _NormalEquations:
                 self.camera_rhs - np.einsum("pk,k->p", flat, ends),
             ]
         )
-        found = _solve_system(reduced, towards, size)
+        found = _solve_system(reduced, towards, size, free)
         poses, camera = found[:free], found[free:]
         rest = ends - bridge.T @ poses - np.einsum("pk,p->k", flat, camera)
         points = (half @ rest.reshape(-1, 3, 1))[..., 0]
-        frees = self.problem.free.camera
-        return poses.reshape(views, size), camera if frees else np.zeros(CAMERA_PARAMETER_COUNT), points
+        if not self.problem.free.camera:
+            camera[:CAMERA_PARAMETER_COUNT] = 0
+        return poses.reshape(views, size), camera, points
+
+
+def _slice_pairs(begin: NDArray[np.intp], count: int) -> list[slice]:
+    """Return the slice of the surface points of each frame pair."""
+    return [slice(*ends) for ends in itertools.pairwise([*begin.tolist(), count])]
+
+
+def _multiply_transposed(rows: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Compute rows.T @ rows (d, d) for many rows (n, d), in blocks of a fixed size.
+
+    Small products run on one thread, so that the order of the sums does not depend on the number of threads.
+    """
+    padded = np.zeros((-(-len(rows) // _BLOCK_ROWS) * _BLOCK_ROWS, rows.shape[1]))
+    padded[: len(rows)] = rows
+    blocks = padded.reshape(-1, _BLOCK_ROWS, rows.shape[1])
+    return np.asarray((blocks.swapaxes(1, 2) @ blocks).sum(axis=0))
 
 
 def _add_damping(blocks: NDArray[np.float64], damping: float) -> NDArray[np.float64]:
@@ -184,16 +218,16 @@ def _build_sparse_matrix(
 
 
 def _solve_system(
-    matrix: NDArray[np.float64], right_side: NDArray[np.float64], block_size: int
+    matrix: NDArray[np.float64], right_side: NDArray[np.float64], block_size: int, free: int
 ) -> NDArray[np.float64]:
     """Solve a positive definite system by conjugate gradients.
 
-    Preconditioned with the inverse diagonal blocks; `block_size` is the number of unknowns per pose.
+    Preconditioned with the inverse diagonal blocks. The first `free` unknowns belong to poses, `block_size`
+    to each; the last block belongs to the cameras.
     """
     from scipy.sparse import block_diag, csr_array
     from scipy.sparse.linalg import cg
 
-    free = len(matrix) - CAMERA_PARAMETER_COUNT
     blocks = [matrix[n : n + block_size, n : n + block_size] for n in range(0, free, block_size)]
     blocks.append(matrix[free:, free:])
     nearly = csr_array(block_diag([np.linalg.inv(one) for one in blocks]))

@@ -76,7 +76,7 @@ def sample_depth(
     (n,) metres; 0 without depth.
     """
     lenses = np.stack([one.depth_lens for one in views])[view_indices]
-    return _sample_nearest(views, view_indices, _project_to_depth_map(lenses, points))
+    return _sample_nearest(views, view_indices, project_to_depth_map(lenses, points))
 
 
 def measure_planes(
@@ -98,7 +98,7 @@ def measure_planes(
     slope : (n,) change of depth per pixel, metres.
     """
     lenses = np.stack([one.depth_lens for one in views])[view_indices]
-    pixels = _project_to_depth_map(lenses, points)
+    pixels = project_to_depth_map(lenses, points)
     depth = _sample_nearest(views, view_indices, pixels)
     known = np.where(depth > 0, depth, 1)
     normals = np.zeros((len(points), 3))
@@ -115,7 +115,30 @@ def measure_planes(
     return normals, depth, slope
 
 
-def _project_to_depth_map(lenses: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.float64]:
+def compute_depth_basis(
+    views: Sequence[AdjustmentView], view_indices: NDArray[np.intp], points: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Compute the basis of the depth correction at points.
+
+    Parameters
+    ----------
+    view_indices : (n,) index of the view of each point.
+    points : (n, 3) metres, axes of the depth camera of that view.
+
+    Returns
+    -------
+    (n, d) derivatives of the relative correction by its d coefficients; 0 behind the camera.
+    """
+    correction, step = views[0].depth_correction, views[0].depth_step
+    assert correction is not None
+    lenses = np.stack([one.depth_lens for one in views])[view_indices]
+    pixels = np.nan_to_num(project_to_depth_map(lenses, points)) * step
+    basis = correction.compute_basis(pixels[:, 0], pixels[:, 1], points[:, 2])
+    return basis * (points[:, 2] > 1e-3)[:, None]
+
+
+def project_to_depth_map(lenses: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Project points (n, 3) to pixels (n, 2) of depth maps with intrinsics (n, 4); NaN behind the camera."""
     z = np.where(points[:, 2] > 1e-3, points[:, 2], np.nan)[:, None]
     return np.asarray(points[:, :2] / z * lenses[:, :2] + lenses[:, 2:])
 
@@ -125,7 +148,7 @@ def _sample_nearest(
 ) -> NDArray[np.float64]:
     """Look up depth (n,) at pixels (n, 2), rounded to the nearest.
 
-    The depth is 0 outside the depth map, and for NaN.
+    Depth is corrected if the views have a correction. The depth is 0 outside the depth map, and for NaN.
     """
     width, height = np.array([one.depth.shape[::-1] for one in views])[view_indices].T
     columns, rows = np.rint(np.nan_to_num(pixels, nan=-1.0).clip(-1, 1e6)).astype(np.intp).T
@@ -137,7 +160,12 @@ def _sample_nearest(
     for number, one in enumerate(views):
         here = at[ends[number] : ends[number + 1]]
         result[here] = one.depth[rows[here], columns[here]]
-    return result
+    correction = views[0].depth_correction if len(views) else None
+    if correction is None:
+        return result
+    # All views have the same depth camera if depth is corrected.
+    step = views[0].depth_step
+    return correction.correct_at(columns * step, rows * step, result)
 
 
 def transform_to_world(

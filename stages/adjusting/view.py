@@ -15,6 +15,7 @@ from scanloom.stages.diagnostics.errors import InputError
 from scanloom.stages.frames.features import detect_keypoints
 from scanloom.stages.registration.codes import REGISTER_FRAMES_UNUSABLE
 from scanloom.stages.scans.codes import FRAME_IMAGE_MISSING
+from scanloom.stages.scans.model.depth_correction import DepthCorrection
 from scanloom.stages.scans.model.images import read_color, read_depth
 from scanloom.stages.scans.model.scan import Camera, ColorImage, DepthImage, Frame, SkippedFrame
 
@@ -48,6 +49,8 @@ class AdjustmentView:
     depth_lens : (4,) fx, fy, cx, cy of the depth map.
     has_adjustable_lens : the lens of the colour camera can be adjusted (no fisheye, at most five
         coefficients).
+    depth_step : pixels of the stored depth map per pixel of `depth`.
+    depth_correction : correction applied where `depth` is looked up; None without.
     """
 
     name: str
@@ -59,6 +62,22 @@ class AdjustmentView:
     lens: NDArray[np.float64]
     depth_lens: NDArray[np.float64]
     has_adjustable_lens: bool
+    depth_step: int = 1
+    depth_correction: DepthCorrection | None = None
+
+    @property
+    def full_depth_size(self) -> tuple[int, int]:
+        """Return width and height of the stored depth map, pixels; rounded up to whole steps."""
+        height, width = self.depth.shape
+        return width * self.depth_step, height * self.depth_step
+
+
+def correct_views(views: Sequence[AdjustmentView], coefficients: NDArray[np.float64]) -> list[AdjustmentView]:
+    """Return views whose depth correction has these coefficients (d,)."""
+    correction = views[0].depth_correction
+    assert correction is not None
+    changed = replace(correction, coefficients=tuple(map(float, coefficients)))
+    return [replace(view, depth_correction=changed) for view in views]
 
 
 def get_color_camera(frame: Frame) -> Camera:
@@ -133,6 +152,7 @@ def read_adjustment_view(frame: Frame) -> AdjustmentView:
         ),
         depth_lens=np.array([given.fx, given.fy, given.cx, given.cy]) / step,
         has_adjustable_lens=is_plain,
+        depth_step=step,
     )
 
 

@@ -84,9 +84,15 @@ def upsample_frame(frame: Frame, params: FuseParams, min_width_ratio: float = 0.
     depth, _ = fill_gaps(depth, params.max_jump)
     factor, (height, width) = params.upsample_factor, depth.shape
     larger_camera = scale_camera(to_pinhole(frame.camera), factor * width, factor * height)
-    # Reading has already applied confidence, mask and rolling shutter.
+    # Reading has already applied confidence, mask, rolling shutter and depth correction.
     frame = replace(
-        frame, camera=larger_camera, confidence=None, min_confidence=0, mask=None, shutter_turn=None
+        frame,
+        camera=larger_camera,
+        confidence=None,
+        min_confidence=0,
+        mask=None,
+        shutter_turn=None,
+        depth_correction=None,
     )
     if photo is None:
         return replace(frame, depth=upsample_depth(depth, None, factor))

@@ -52,7 +52,7 @@ def denoise_single_frame(frames: Sequence[Frame], max_jump: float) -> Sequence[F
     if depth is None:
         return frames
     depth, _ = fill_gaps(depth, max_jump)
-    # Reading has already applied lens distortion, confidence, mask and rolling shutter.
+    # Reading has already applied lens distortion, confidence, mask, rolling shutter and depth correction.
     return [
         replace(
             frame,
@@ -64,6 +64,7 @@ def denoise_single_frame(frames: Sequence[Frame], max_jump: float) -> Sequence[F
             min_confidence=0,
             mask=None,
             shutter_turn=None,
+            depth_correction=None,
         )
     ]
 

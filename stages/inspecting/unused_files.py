@@ -23,6 +23,7 @@ from scanloom.stages.scans.layouts.tum.associations import read_associations
 from scanloom.stages.scans.model.scan import Scan
 from scanloom.stages.scans.trajectory import trajectory_formats as trajectories
 from scanloom.stages.scans.transforms.adjusted_cameras import apply_adjusted_cameras
+from scanloom.stages.scans.transforms.depth_calibration import apply_depth_calibration
 
 # Maximum number of files examined in a folder.
 _MAX_FILES = 20_000
@@ -176,6 +177,8 @@ def _guess_content(path: Path, scan: Scan) -> str:
         return "pairs of colour and depth images, which this layout does not need"
     if _is_readable(lambda: apply_adjusted_cameras(scan, path)):
         return f"a result of adjust: scan.adjusted_cameras={path.name}"
+    if _is_readable(lambda: apply_depth_calibration(scan, path)):
+        return f"a depth calibration: scan.depth_calibration={path.name}"
     camera = scan.frames[0].camera
     size = camera.width, camera.height
     if scan.is_stereo and _is_readable(lambda: rig_calibration.read_rig(path, *size)):

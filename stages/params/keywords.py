@@ -27,6 +27,7 @@ class AdjustKeywords(TypedDict, total=False):
     enabled: bool | None
     camera: bool | None
     shutter: bool | None
+    depth: bool | None
     pose_sigma: float
 
 
@@ -271,6 +272,7 @@ class ReadingKeywords(TypedDict, total=False):
     poses_by_order: bool
     masks: str | None
     adjusted_cameras: str | None
+    depth_calibration: str | None
     depth_scale: float | None
     min_confidence: int | None
     align_axes: bool
@@ -345,6 +347,7 @@ class ScanKeywords(TypedDict, total=False):
     poses_by_order: bool
     masks: str | None
     adjusted_cameras: str | None
+    depth_calibration: str | None
     depth_scale: float | None
     min_confidence: int | None
     align_axes: bool

@@ -42,6 +42,7 @@ from scanloom.stages.scans.model.poses import AS_WRITTEN, to_camera_to_world
 from scanloom.stages.scans.model.scan import Frame, PackedImage, Scan, SkippedFrame
 from scanloom.stages.scans.params import ScanParams
 from scanloom.stages.scans.transforms.adjusted_cameras import apply_adjusted_cameras
+from scanloom.stages.scans.transforms.depth_calibration import apply_depth_calibration
 from scanloom.stages.scans.transforms.masks import apply_masks
 from scanloom.stages.scans.transforms.scale import apply_scale
 from scanloom.stages.scans.transforms.up_direction import set_layout_up
@@ -98,6 +99,10 @@ def _read_frames(folder: Path, options: ScanParams) -> Scan:
     # Scale before the adjusted cameras, which are in metres already. The scale is estimated from all frames,
     # so that it does not depend on the selection.
     scan = apply_scale(scan, options, folder)
+    # The correction of adjusted cameras, which is specific to the scan, replaces the sensor's.
+    depth_calibration = options.resolve_file("depth_calibration", folder)
+    if depth_calibration is not None:
+        scan = apply_depth_calibration(scan, depth_calibration)
     adjusted = options.resolve_file("adjusted_cameras", folder)
     if adjusted is not None:
         scan = apply_adjusted_cameras(scan, adjusted)
@@ -176,6 +181,12 @@ def _require_options_used(
         raise UsageError(
             SCAN_OPTION_UNUSED,
             "scan.depth_scale applies to depth maps, and stereo pairs have none",
+            remedy="remove the option.",
+        )
+    if options.depth_calibration is not None and all(frame.depth is None for frame in read.frames):
+        raise UsageError(
+            SCAN_OPTION_UNUSED,
+            "scan.depth_calibration applies to depth maps, and these frames have none",
             remedy="remove the option.",
         )
     if options.min_confidence is not None and all(frame.confidence is None for frame in read.frames):

@@ -156,5 +156,6 @@ def _complete_frame(
         min_confidence=0,
         mask=mask,
         shutter_turn=None,
+        depth_correction=None,
     )
     return kept, whole

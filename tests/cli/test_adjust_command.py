@@ -103,6 +103,15 @@ def test_exact_poses_are_said_to_be(scanloom: Run, tmp_path: Path) -> None:
     assert [path.name for path in (tmp_path / "better").iterdir()] == ["cameras.json"]
 
 
+def test_a_damaged_depth_calibration_is_one_error(scanloom: Run, tmp_path: Path) -> None:
+    path = tmp_path / "depth_calibration.json"
+    path.write_text('{"version": 1, "near_m": 1, "coefficients": []}')
+    ran = scanloom("inspect", SAMPLES / "rgbd", "--set", f"scan.depth_calibration={path}")
+    assert ran.exit_code == 3
+    assert ran.stderr.count("depth_calibration.json: a depth calibration needs") == 1
+    assert "Traceback" not in ran.stderr
+
+
 def test_pairs_are_refused_with_the_way(scanloom: Run, tmp_path: Path) -> None:
     ran = scanloom("adjust", SAMPLES / "stereo", tmp_path / "better")
     assert ran.exit_code == 3

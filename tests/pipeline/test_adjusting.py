@@ -16,10 +16,12 @@ from scanloom.pipeline.config import Config
 from scanloom.pipeline.run.run import run
 from scanloom.stages.adjusting.cameras import compute_motions
 from scanloom.stages.diagnostics.errors import InputError, UsageError
+from scanloom.stages.scans.model.depth_correction import COEFFICIENT_COUNT, DepthCorrection
 from scanloom.stages.scans.model.images import read_color
 from scanloom.stages.scans.reader import read_scan
 from scanloom.stages.scans.trajectory.trajectory_formats import read_tum
 from scanloom.stages.scans.transforms.adjusted_cameras import apply_adjusted_cameras
+from scanloom.stages.scans.transforms.depth_calibration import read_depth_calibration
 
 pytestmark = pytest.mark.slow
 
@@ -92,6 +94,20 @@ def test_what_is_written_gives_the_frames_back_to_the_bit(disturbed: Path, tmp_p
         assert one.shutter_turn is None
 
 
+def test_a_depth_correction_is_written_and_read_again(disturbed: Path, tmp_path: Path) -> None:
+    scan = read_scan(disturbed)
+    scan = replace(scan, frames=scan.frames[:4])
+    correction = DepthCorrection(320, 240, 0.5, 2.0, (0.01, *[0.001] * (COEFFICIENT_COUNT - 1)))
+    frames = tuple(replace(frame, depth_correction=correction) for frame in scan.frames)
+    found = replace(
+        adjust(scan), frames=frames, adjusted_indices=(0, 2), accepted=True, depth_correction=correction
+    )
+    write_adjusted(tmp_path, found)
+    assert read_depth_calibration(tmp_path / "depth_calibration.json") == correction
+    for read in (apply_adjusted(scan, tmp_path), apply_adjusted_cameras(scan, tmp_path / "cameras.json")):
+        assert {frame.depth_correction for frame in read.frames} == {correction}
+
+
 def test_turns_that_are_written_come_back_to_their_frames(disturbed: Path, tmp_path: Path) -> None:
     scan = read_scan(disturbed)
     scan = replace(scan, frames=scan.frames[:4])
@@ -116,7 +132,7 @@ def test_a_turn_that_is_none_is_told(disturbed: Path, tmp_path: Path, wrong: obj
     pose = scan.frames[0].world_from_camera.tolist()
     document = {"accepted": True, "names": {"0": name}, "poses": {"0": pose}, "shutter_turns": {"0": wrong}}
     (tmp_path / "cameras.json").write_text(json.dumps(document))
-    with pytest.raises(InputError, match=r"shutter_turn is no rotation vector|NaN"):
+    with pytest.raises(InputError, match=r"shutter_turn must be a rotation vector|NaN"):
         apply_adjusted_cameras(scan, tmp_path / "cameras.json")
 
 

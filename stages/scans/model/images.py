@@ -192,8 +192,8 @@ def read_depth(frame: Frame) -> DepthImage | None:
 
     Returns
     -------
-    (h, w) float32 metres along the optical axis, 0 where missing, masked or below `min_confidence`. None if
-    the frame has no depth.
+    (h, w) float32 metres along the optical axis, 0 where missing, masked or below `min_confidence`. The depth
+    correction of the frame is applied. None if the frame has no depth.
 
     Raises
     ------
@@ -215,7 +215,8 @@ def read_depth(frame: Frame) -> DepthImage | None:
         depth[mask == 0] = 0
     maps = _compute_maps(depth, frame.camera, frame.shutter_turn)
     depth = cast(DepthImage, resample_to_pinhole(depth, maps, smooth=False))
-    return np.where(np.isfinite(depth) & (depth > _MIN_DEPTH_M), depth, np.float32(0))
+    depth = np.where(np.isfinite(depth) & (depth > _MIN_DEPTH_M), depth, np.float32(0))
+    return depth if frame.depth_correction is None else frame.depth_correction.correct_map(depth)
 
 
 def require_size(image: NDArray[Any], camera: Camera, source: Path | Any, name: str) -> None:

@@ -65,6 +65,12 @@ class ReadingParams:
         "replace the folder's.",
         is_path=True,
     )
+    depth_calibration: str | None = param(
+        None,
+        "depth_calibration.json of `scanloom adjust`, or of the folder adjusted/ of a run, for the same "
+        "sensor. Measured depth is corrected with it.",
+        is_path=True,
+    )
     depth_scale: float | None = param(
         None,
         "Units of the depth files per metre (1000 for millimetres); by default the layout's.",

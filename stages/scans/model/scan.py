@@ -27,6 +27,7 @@ from scanloom.stages.scans.model.array_validation import (
     check_intrinsics,
     check_pose,
 )
+from scanloom.stages.scans.model.depth_correction import DepthCorrection
 from scanloom.stages.scans.model.thumbnail import render_thumbnail
 from scanloom.stages.scans.model.world import Scale, WorldUp
 
@@ -189,6 +190,7 @@ class Frame:
     shutter_turn : (3,) float64 rotation vector in axes of the depth camera, radians: rotation of the camera
         from the first to the last row during readout (rolling shutter). The pose is the pose at the middle
         row. None for a global shutter, or if the rotation is not known.
+    depth_correction : correction of the depth of the sensor, applied by `read_depth`; None without.
     """
 
     name: str
@@ -208,6 +210,7 @@ class Frame:
     depth_range: tuple[float, float] | None = None
     up: NDArray[np.float64] | None = None
     shutter_turn: NDArray[np.float64] | None = None
+    depth_correction: DepthCorrection | None = None
 
     def __post_init__(self) -> None:
         pose, depth = self.world_from_camera, self.depth

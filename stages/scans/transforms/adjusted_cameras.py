@@ -8,6 +8,8 @@
 "poses": {"0": [[…], …], …},               4x4 world_from_camera, metres, by frame index
 "shutter_turns": {"0": […], …}             rotation vectors, radians: camera rotation from first to last row
                                            during readout; null or missing for a global shutter
+"depth_calibration": {…}                   correction of depth, see depth_calibration.py; null or missing:
+                                           unchanged
 }
 """
 
@@ -24,8 +26,10 @@ from scanloom.stages.diagnostics.errors import InputError
 from scanloom.stages.files import documents
 from scanloom.stages.scans.calibration import camera_files as calibration
 from scanloom.stages.scans.codes import CAMERA_ADJUSTED_MISMATCH, CAMERA_CALIBRATION_INVALID, POSE_MISSING
+from scanloom.stages.scans.model.depth_correction import DepthCorrection
 from scanloom.stages.scans.model.poses import check_rigid_pose, parse_pose_matrix, parse_shutter_turn
 from scanloom.stages.scans.model.scan import Camera, Frame, Pose, Scan
+from scanloom.stages.scans.transforms.depth_calibration import parse_depth_calibration
 
 
 def apply_adjusted_cameras(scan: Scan, path: Path) -> Scan:
@@ -42,8 +46,11 @@ def apply_adjusted_cameras(scan: Scan, path: Path) -> Scan:
     poses = _read_poses(document, path)
     camera = _read_color_camera(document, path)
     turns = _read_shutter_turns(document, path)
+    table = document.get("depth_calibration")
+    correction = None if table is None else parse_depth_calibration(table, path)
     frames = [
-        _apply_to_frame(frame, poses.get(frame.name), camera, turns.get(frame.name)) for frame in scan.frames
+        _apply_to_frame(frame, poses.get(frame.name), camera, turns.get(frame.name), correction)
+        for frame in scan.frames
     ]
     if poses and not any(frame.name in poses for frame in scan.frames):
         raise InputError(
@@ -62,6 +69,7 @@ def _apply_to_frame(
     pose: Pose | None,
     camera: tuple[Camera, Pose] | None,
     turn: NDArray[np.float64] | None,
+    correction: DepthCorrection | None,
 ) -> Frame:
     if pose is not None:
         frame = replace(frame, world_from_camera=pose)
@@ -69,6 +77,8 @@ def _apply_to_frame(
         frame = replace(frame, shutter_turn=turn)
     if camera is not None and frame.color is not None and frame.depth is not None:
         frame = replace(frame, color_camera=camera[0], color_from_depth=camera[1])
+    if correction is not None and frame.depth is not None:
+        frame = replace(frame, depth_correction=correction)
     return frame
 
 
