@@ -82,7 +82,7 @@ def _sum_by(labels: Ids, values: Floats, count: int) -> Floats:
 
 def divide_cap(
     rim: Floats, plane_ids: Ids, tolerances: Floats, planes: Planes, edge_length: float
-) -> list[Section] | None:
+) -> list[Section]:
     """Divide a cap into the planes around it: one plane, or two that meet in a straight crease.
 
     Parameters
@@ -94,41 +94,41 @@ def divide_cap(
 
     Returns
     -------
-    None if the rim is not on one or two planes.
+    Empty if the rim is not on one or two planes.
     """
     candidates = np.unique(plane_ids[plane_ids >= 0])
     if not len(candidates) or (plane_ids >= 0).mean() < _MIN_LABELLED_RATIO:
-        return None
+        return []
     heights = np.abs(rim @ planes.normals[candidates].T - planes.offsets[candidates])
     is_near = heights <= tolerances[:, None]
     for number in np.argsort(-is_near.sum(axis=0), kind="stable"):
         if is_near[:, number].all():
             return [Section(int(candidates[number]), 0, len(rim) - 1, np.empty((0, 3)))]
     if not is_near.any(axis=1).all():
-        return None
+        return []
     # A vertex near several planes is on their crease, and belongs to any of them.
     clear = np.flatnonzero(is_near.sum(axis=1) == 1)
     if len(clear) < 2:
-        return None
+        return []
     labels = candidates[is_near[clear].argmax(axis=1)]
     changes = np.flatnonzero(labels != np.roll(labels, -1))
     if len(changes) != 2:
-        return None
+        return []
     pair = labels[changes]
     line = _intersect_planes(planes, pair)
     if line is None:
-        return None
+        return []
     ends = []
     for change in changes:
         last, first = int(clear[change]), int(clear[(change + 1) % len(clear)])
         between = np.arange(last, first + 1 + (len(rim) if first < last else 0)) % len(rim)
         distances = _measure_distances(rim[between], line)
         if distances.min() > _MAX_CREASE_EDGES * edge_length:
-            return None
+            return []
         ends.append(int(between[distances.argmin()]))
     first, second = ends
     if first == second:
-        return None
+        return []
     crease = _divide_line(rim[first], rim[second], line, edge_length)
     # After the first change of planes, the rim is on the second plane.
     return [Section(int(pair[1]), first, second, crease[::-1]), Section(int(pair[0]), second, first, crease)]

@@ -19,7 +19,7 @@ Floats = NDArray[np.float64]
 # Edges longer than this multiple of the target length are split.
 _MAX_EDGE_RATIO = 4 / 3
 # Maximum number of passes. Each split pass halves the longest edges; each flip pass does the worst flips.
-_MAX_SPLIT_PASSES, _MAX_FLIP_PASSES = 60, 30
+_MAX_SPLIT_PASSES, _MAX_FLIP_PASSES = 12, 30
 # Minimum cotangent sum of the angles opposite an edge; Delaunay edges have at least 0.
 _MIN_COTANGENT_SUM = -1e-6
 # Part of the way to the mean of its neighbours that a vertex moves after each split pass.
@@ -147,10 +147,7 @@ def _is_flip_valid(points: Floats, first: Ids, second: Ids, turned: list[Ids]) -
     before = compute_normals(points, first) + compute_normals(points, second)
     total = np.linalg.norm(before, axis=1)
     return np.logical_and.reduce(
-        [
-            (compute_normals(points, one) * before).sum(axis=1) > MAX_FLATNESS**0.5 * total**2
-            for one in turned
-        ]
+        [(compute_normals(points, one) * before).sum(axis=1) > MAX_FLATNESS**0.5 * total**2 for one in turned]
     )
 
 
@@ -184,20 +181,27 @@ def _relax(caps: CapMesh) -> CapMesh:
 
 
 def _select_independent(costs: Floats, first: Ids, second: Ids) -> Ids:
-    """Select edges without common triangle: those that are the best ones of both their triangles.
+    """Select edges without common triangle, the best ones first.
 
     Parameters
     ----------
     costs : (k,) lower is better.
     first, second : (k,) triangles of each edge.
     """
-    order = np.argsort(costs, kind="stable")
-    ranks = np.empty(len(costs), np.int64)
-    ranks[order] = np.arange(len(costs))
-    best = np.full(max(first.max(initial=-1), second.max(initial=-1)) + 1, len(costs))
-    np.minimum.at(best, first, ranks)
-    np.minimum.at(best, second, ranks)
-    return np.flatnonzero((best[first] == ranks) & (best[second] == ranks))
+    left = np.argsort(costs, kind="stable")
+    is_used = np.zeros(max(first.max(initial=-1), second.max(initial=-1)) + 1, bool)
+    best = np.empty(len(is_used), np.int64)
+    chosen = []
+    while len(left):
+        ranks = np.arange(len(left))
+        best[:] = len(left)
+        np.minimum.at(best, first[left], ranks)
+        np.minimum.at(best, second[left], ranks)
+        taken = left[(best[first[left]] == ranks) & (best[second[left]] == ranks)]
+        chosen.append(taken)
+        is_used[first[taken]] = is_used[second[taken]] = True
+        left = left[~(is_used[first[left]] | is_used[second[left]])]
+    return np.concatenate([np.empty(0, np.int64), *chosen])
 
 
 def _make_keys(a: Ids, b: Ids, count: int) -> Ids:

@@ -109,10 +109,10 @@ def close_holes(
         return unchanged
     caps = _shape_caps(mesh, edges, found, plane_ids, deviations, mean_edge)
     is_kept = ~_find_folded(mesh, caps)
-    points, owners = _sample_caps(caps)
+    points, normals, owners = _sample_caps(caps)
     is_kept[owners[_find_contacts(mesh, edges, caps, (points, owners), mean_edge)]] = False
     tested = is_kept[owners]
-    test = FreeSpaceTest(points[tested], noise, _FREE_SPACE_EDGES * mean_edge)
+    test = FreeSpaceTest(points[tested], normals[tested], noise, _FREE_SPACE_EDGES * mean_edge)
     if tested.any():
         show_frames(test)
     is_kept[owners[tested][test.is_free]] = False
@@ -133,9 +133,10 @@ def _shape_caps(
         loop, rim = cap.loop, mesh.vertices[cap.loop]
         length = max(mean_edge, float(np.linalg.norm(np.roll(rim, -1, axis=0) - rim, axis=1).mean()))
         sections = divide_cap(rim, plane_ids[loop], tolerances[loop], planes, length)
-        parts = None if sections is None else _triangulate_sections(mesh, loop, sections, count, existing)
-        if sections is None or parts is None:
-            sections, parts = [Section(-1, 0, len(loop) - 1, np.empty((0, 3)))], [loop[cap.triangles]]
+        parts = _triangulate_sections(mesh, loop, sections, count, existing) if len(sections) > 1 else None
+        if parts is None:
+            plane = sections[0].plane if len(sections) == 1 else -1
+            sections, parts = [Section(plane, 0, len(loop) - 1, np.empty((0, 3)))], [loop[cap.triangles]]
         for section, part in zip(sections, parts, strict=True):
             triangles.append(part)
             patches.append(np.full(len(part), len(holes)))
@@ -160,7 +161,7 @@ def _shape_caps(
 def _triangulate_sections(
     mesh: Mesh, loop: Ids, sections: Sequence[Section], first_new: int, existing: set[tuple[int, int]]
 ) -> list[Ids] | None:
-    """Triangulate the planar parts of a cap; their triangles (k, 3) have vertices of the mesh and the crease.
+    """Triangulate both planar parts of a cap; their triangles (k, 3) have vertices of the mesh and the crease.
 
     Parameters
     ----------
@@ -172,13 +173,12 @@ def _triangulate_sections(
     """
     crease = sections[-1].crease
     line = first_new + np.arange(len(crease))
-    if len(sections) > 1:
-        # No chord may connect two vertices of the crease: both parts could have it.
-        ends = np.concatenate([loop[[sections[-1].end]], line, loop[[sections[-1].start]]])
-        chords = {(min(a, b), max(a, b)) for a in ends.tolist() for b in ends.tolist() if a != b}
-        if len(line) == 0 and chords & existing:
-            return None
-        existing = existing | chords
+    # No chord may connect two vertices of the crease: both parts could have it.
+    ends = np.concatenate([loop[[sections[-1].end]], line, loop[[sections[-1].start]]])
+    chords = {(min(a, b), max(a, b)) for a in ends.tolist() for b in ends.tolist() if a != b}
+    if len(line) == 0 and chords & existing:
+        return None
+    existing = existing | chords
     parts = []
     for section in sections:
         stop = section.end + (len(loop) if section.end < section.start else 0)
@@ -246,16 +246,25 @@ def _find_folded(mesh: Mesh, caps: _Caps) -> NDArray[np.bool_]:
     return is_folded
 
 
-def _sample_caps(caps: _Caps) -> tuple[Floats, Ids]:
-    """Return points (k, 3) on the caps, and the hole (k,) of each: centroids and vertices inside."""
+def _sample_caps(caps: _Caps) -> tuple[Floats, Floats, Ids]:
+    """Sample the caps at centroids and at the middles of edges.
+
+    Returns
+    -------
+    Points (k, 3), unit normals (k, 3), and the hole (k,) of each.
+    """
     cap_mesh = caps.cap_mesh
-    owners = caps.holes[cap_mesh.patches]
-    hole_of = np.full(len(cap_mesh.points), -1)
-    hole_of[cap_mesh.triangles] = owners[:, None]
-    new = np.arange(_count_mesh_vertices(caps), len(cap_mesh.points))
-    new = new[hole_of[new] >= 0]
-    centroids = cap_mesh.points[cap_mesh.triangles].mean(axis=1)
-    return np.concatenate([centroids, cap_mesh.points[new]]), np.concatenate([owners, hole_of[new]])
+    corners = cap_mesh.points[cap_mesh.triangles]
+    middles = (corners + np.roll(corners, -1, axis=1)) / 2
+    points = np.concatenate([corners.mean(axis=1), middles.reshape(-1, 3)])
+    normals = compute_normals(cap_mesh.points, cap_mesh.triangles)
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), np.finfo(np.float64).tiny)
+    edges = build_edges(cap_mesh.triangles, len(cap_mesh.points))
+    # Middles of rim edges are measured surface; those of inner edges are sampled once.
+    inner = edges.halfedges[edges.start[edges.triangle_count == 2]]
+    chosen = np.concatenate([np.arange(len(corners)), len(corners) + inner])
+    triangles = np.concatenate([np.arange(len(corners)), inner // 3])
+    return points[chosen], normals[triangles], caps.holes[cap_mesh.patches][triangles]
 
 
 def _count_mesh_vertices(caps: _Caps) -> int:
@@ -273,7 +282,9 @@ def _find_contacts(
     low, high = points.min(axis=0) - reach, points.max(axis=0) + reach
     (candidates,) = np.nonzero(((mesh.vertices >= low) & (mesh.vertices <= high)).all(axis=1))
     tree = cKDTree(points)
-    contacts = tree.sparse_distance_matrix(cKDTree(mesh.vertices[candidates]), reach, output_type="coo_matrix")
+    contacts = tree.sparse_distance_matrix(
+        cKDTree(mesh.vertices[candidates]), reach, output_type="coo_matrix"
+    )
     touched, vertices = contacts.row, candidates[contacts.col]
     near = _find_near_vertices(edges, caps.loops, len(mesh.vertices))
     is_other = ~np.isin(owners[touched] * len(mesh.vertices) + vertices, near)

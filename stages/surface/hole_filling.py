@@ -108,6 +108,9 @@ def triangulate_loop(rim: Vertices, loop: Ids, existing: set[tuple[int, int]]) -
     -------
     None if there is no such triangulation.
     """
+    if len(loop) == 3:
+        is_flat = np.isinf(_compute_doubled_areas(*rim))
+        return None if is_flat else np.array([[0, 1, 2]], np.int32)
     return _triangulate_min_area(rim, _find_allowed_edges(loop, existing))
 
 
