@@ -32,8 +32,11 @@ _PLANE_DEVIATIONS, _PLANE_EDGES = 3.0, 0.25
 _FAIRING_ITERATIONS = 2
 # A measurement that is so many edge lengths behind a cap proves free space.
 _FREE_SPACE_EDGES = 2.0
-# Minimum cosine between the normals of adjacent triangles; below it, the cap is folded (150°).
-_MIN_FOLD_COSINE = -0.866
+# Maximum part of a cap in free space: single wrong measurements do not keep a large hole open.
+_MAX_FREE_RATIO = 0.05
+# Minimum cosine between the normals of adjacent triangles; below it, the cap is folded (150°). A noisy rim has
+# folds of its own: up to this part of the rim edges may be folded.
+_MIN_FOLD_COSINE, _MAX_FOLDED_RIM_RATIO = -0.866, 0.2
 # Minimum distance from other surface in edge lengths. Surface within so many rings of the rim is not tested.
 _MIN_CLEARANCE_EDGES, _NEAR_RINGS = 0.7, 4
 # Deviation of the vertices of a cap relative to the median: as for vertices that no frame measured.
@@ -115,7 +118,8 @@ def close_holes(
     test = FreeSpaceTest(points[tested], normals[tested], noise, _FREE_SPACE_EDGES * mean_edge)
     if tested.any():
         show_frames(test)
-    is_kept[owners[tested][test.is_free]] = False
+    counts, free_counts = (np.bincount(rows, minlength=len(found)) for rows in (owners, owners[tested][test.is_free]))
+    is_kept &= free_counts <= _MAX_FREE_RATIO * counts
     return _append_caps(unchanged, caps, is_kept) if is_kept.any() else unchanged
 
 
@@ -241,9 +245,11 @@ def _find_folded(mesh: Mesh, caps: _Caps) -> NDArray[np.bool_]:
     first, second = (edges.halfedges[edges.start[paired] + k] // 3 for k in (0, 1))
     folds = (normals[first] * normals[second]).sum(axis=1) < _MIN_FOLD_COSINE
     # Triangles of caps come first.
-    lower = np.minimum(first, second)[folds]
-    is_folded[owners[lower[lower < len(owners)]]] = True
-    return is_folded
+    lower, upper = np.minimum(first, second)[folds], np.maximum(first, second)[folds]
+    is_folded[owners[lower[upper < len(owners)]]] = True
+    at_rim = (lower < len(owners)) & (upper >= len(owners))
+    counts = np.bincount(owners[lower[at_rim]], minlength=len(is_folded))
+    return is_folded | (counts > _MAX_FOLDED_RIM_RATIO * np.array([len(loop) for loop in caps.loops]))
 
 
 def _sample_caps(caps: _Caps) -> tuple[Floats, Floats, Ids]:
