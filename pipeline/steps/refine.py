@@ -61,7 +61,7 @@ def _run(inputs: RefineInputs, params: RefineParams, context: Context) -> Mappin
     if inputs.clean_mesh.is_large:
         return _copy_large_mesh(inputs.clean_mesh, result, params)
     refined = refine(inputs.clean_mesh.load(), inputs.load_posed(), params, progress=context.progress)
-    values = {"deviation": refined.deviations, "filled": refined.is_filled.astype(np.float32)}
+    values = {"deviation": refined.deviations, "filled": refined.is_filled.astype(np.float64)}
     write_ply(result, refined.mesh, vertex_values=values)
     metrics = refined.to_dict()
     warn_skipped_frames(metrics["frames_skipped"])

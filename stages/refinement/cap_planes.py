@@ -137,12 +137,12 @@ def divide_cap(
 def _intersect_planes(planes: Planes, pair: Ids) -> tuple[Floats, Floats] | None:
     """Return a point and the unit direction of the line where two planes meet; None if nearly parallel."""
     normals = planes.normals[pair]
-    direction = np.cross(*normals)
-    sine = np.linalg.norm(direction)
+    direction = np.cross(normals[0], normals[1])
+    sine = float(np.linalg.norm(direction))
     if sine < _MIN_SINE:
         return None
     point = np.linalg.lstsq(normals, planes.offsets[pair], rcond=None)[0]
-    return point, direction / sine
+    return np.asarray(point, np.float64), np.asarray(direction / sine, np.float64)
 
 
 def _measure_distances(points: Floats, line: tuple[Floats, Floats]) -> Floats:
@@ -152,7 +152,7 @@ def _measure_distances(points: Floats, line: tuple[Floats, Floats]) -> Floats:
 
 def _divide_line(start: Floats, end: Floats, line: tuple[Floats, Floats], edge_length: float) -> Floats:
     """Return points of a line between the projections of two positions, without these."""
-    first, last = ((one - line[0]) @ line[1] for one in (start, end))
+    first, last = (float((one - line[0]) @ line[1]) for one in (start, end))
     count = max(1, round(abs(last - first) / edge_length))
     shares = np.arange(1, count) / count
     return np.asarray(line[0] + (first + shares * (last - first))[:, None] * line[1])

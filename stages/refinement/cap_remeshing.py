@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scanloom.stages.surface.edges import Edges, Ids, build_edges, step_to_next_corner
+from scanloom.stages.surface.mesh import Triangles
 from scanloom.stages.surface.topology import MAX_FLATNESS
 
 Floats = NDArray[np.float64]
@@ -39,7 +40,7 @@ class CapMesh:
     """
 
     points: Floats
-    triangles: Ids
+    triangles: Triangles
     patches: Ids
     fixed_count: int
 
@@ -96,7 +97,7 @@ def _split_edges(caps: CapMesh, target_lengths: Floats) -> CapMesh | None:
     chosen = long[_select_independent(-ratios[long], first[long] // 3, second[long] // 3)]
     if not len(chosen):
         return None
-    middles = len(caps.points) + np.arange(len(chosen))
+    middles = len(caps.points) + np.arange(len(chosen), dtype=np.int32)
     triangles = caps.triangles.copy()
     added = []
     for halfedges in (first[chosen], second[chosen]):
@@ -128,7 +129,9 @@ def _flip_edges(caps: CapMesh, taken_edges: Ids) -> CapMesh:
         a, b, c = (triangles[t, (i + k) % 3] for k in range(3))
         d = triangles[s, (j + 2) % 3]
         keys = _make_keys(c, d, count)
-        is_new = ~np.isin(keys, np.concatenate([taken, _make_keys(*edges.ends.T, count)]))
+        is_new = ~np.isin(
+            keys, np.concatenate([taken, _make_keys(edges.ends[:, 0], edges.ends[:, 1], count)])
+        )
         turned = [np.stack(one, axis=1) for one in ((a, d, c), (d, b, c))]
         is_valid = is_new & _is_flip_valid(points, triangles[t], triangles[s], turned)
         (valid,) = np.nonzero(is_valid)

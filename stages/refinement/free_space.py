@@ -13,8 +13,8 @@ from scanloom.stages.scans.model.scan import DepthImage
 
 # A measurement is clearly behind a point if the distance exceeds this many standard deviations.
 _MIN_DEVIATIONS = 3.0
-# Part of the minimum distance that the measurement must be away along the normal. At grazing angles, errors of
-# a pixel or of the pose change the depth by more than the minimum distance.
+# Minimum distance along the normal, as part of the minimum distance. At grazing angles, errors of a pixel or
+# of the pose change the depth by more than the minimum distance.
 _MIN_NORMAL_RATIO = 0.5
 
 

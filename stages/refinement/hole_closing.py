@@ -1,8 +1,8 @@
 """Closing of holes by continuing the surface, where no frame has seen free space.
 
 1. Triangulate each border loop up to a given length, and remesh the caps to the edge length of the mesh.
-2. Continue planes: a cap between vertices of one plane is on that plane; between two planes, it has a straight
-   crease where the planes meet. Other caps continue the surface smoothly.
+2. Continue planes: a cap between vertices of one plane is on that plane; between two planes, it has a
+   straight crease where the planes meet. Other caps continue the surface smoothly.
 3. Reject caps through which a frame has measured a surface behind, and caps that touch other surface or fold.
 """
 
@@ -34,8 +34,8 @@ _FAIRING_ITERATIONS = 2
 _FREE_SPACE_EDGES = 2.0
 # Maximum part of a cap in free space: single wrong measurements do not keep a large hole open.
 _MAX_FREE_RATIO = 0.05
-# Minimum cosine between the normals of adjacent triangles; below it, the cap is folded (150°). A noisy rim has
-# folds of its own: up to this part of the rim edges may be folded.
+# Minimum cosine between the normals of adjacent triangles (150°), and maximum part of the rim edges that
+# may be folded more: noisy rims have folds of their own.
 _MIN_FOLD_COSINE, _MAX_FOLDED_RIM_RATIO = -0.866, 0.2
 # Minimum distance from other surface in edge lengths. Surface within so many rings of the rim is not tested.
 _MIN_CLEARANCE_EDGES, _NEAR_RINGS = 0.7, 4
@@ -118,7 +118,9 @@ def close_holes(
     test = FreeSpaceTest(points[tested], normals[tested], noise, _FREE_SPACE_EDGES * mean_edge)
     if tested.any():
         show_frames(test)
-    counts, free_counts = (np.bincount(rows, minlength=len(found)) for rows in (owners, owners[tested][test.is_free]))
+    counts, free_counts = (
+        np.bincount(rows, minlength=len(found)) for rows in (owners, owners[tested][test.is_free])
+    )
     is_kept &= free_counts <= _MAX_FREE_RATIO * counts
     return _append_caps(unchanged, caps, is_kept) if is_kept.any() else unchanged
 
@@ -131,7 +133,8 @@ def _shape_caps(
     tolerances = np.maximum(_PLANE_DEVIATIONS * deviations, _PLANE_EDGES * mean_edge)
     existing = find_border_chords(edges)
     points, triangles, patches = [mesh.vertices], [], []
-    holes, patch_planes, lengths, crease_planes = [], [], [], []
+    holes: list[int] = []
+    patch_planes, lengths, crease_planes = [], [], []
     count = len(mesh.vertices)
     for hole, cap in enumerate(found):
         loop, rim = cap.loop, mesh.vertices[cap.loop]
@@ -142,7 +145,7 @@ def _shape_caps(
             plane = sections[0].plane if len(sections) == 1 else -1
             sections, parts = [Section(plane, 0, len(loop) - 1, np.empty((0, 3)))], [loop[cap.triangles]]
         for section, part in zip(sections, parts, strict=True):
-            triangles.append(part)
+            triangles.append(part.astype(np.int32))
             patches.append(np.full(len(part), len(holes)))
             holes.append(hole)
             patch_planes.append(section.plane)
@@ -165,7 +168,7 @@ def _shape_caps(
 def _triangulate_sections(
     mesh: Mesh, loop: Ids, sections: Sequence[Section], first_new: int, existing: set[tuple[int, int]]
 ) -> list[Ids] | None:
-    """Triangulate both planar parts of a cap; their triangles (k, 3) have vertices of the mesh and the crease.
+    """Triangulate both planar parts of a cap, from vertices of the loop and of the crease.
 
     Parameters
     ----------

@@ -149,7 +149,7 @@ def test_only_holes_within_the_limit_are_filled() -> None:
 
 
 def test_a_mesh_without_holes_stays_as_it_is() -> None:
-    wall = _make_grid(10, _make_wall, lambda x, y: np.zeros(x.shape, bool))
+    wall = _make_grid(10, _make_wall, _no_hole)
     assert _close(wall, None, 100.0).mesh is wall
     empty = Mesh(np.empty((0, 3)), np.empty((0, 3), np.int32))
     assert _close(empty).mesh is empty
