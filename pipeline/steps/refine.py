@@ -88,7 +88,8 @@ def _list_versions(known: Mapping[str, Any], config: Sections) -> Mapping[str, i
 def _format_headline(metrics: Mapping[str, Any]) -> str:
     if "move_rms_m" not in metrics or metrics["move_max_m"] == 0:
         return "{triangles:,} triangles; the mesh is left as it is"
-    return "{triangles:,} triangles; moved by {move_rms_m:.2g} m RMS; {planes:,} planes"
+    moved = "{triangles:,} triangles; moved by {move_rms_m:.2g} m RMS; {planes:,} planes"
+    return moved + ("; {filled_holes:,} holes filled" if metrics["filled_holes"] else "")
 
 
 STAGE = Stage(

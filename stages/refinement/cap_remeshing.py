@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from scanloom.stages.surface.edges import Edges, Ids, build_edges, step_to_next_corner
 from scanloom.stages.surface.mesh import Triangles
-from scanloom.stages.surface.topology import MAX_FLATNESS
 
 Floats = NDArray[np.float64]
 
@@ -23,6 +22,8 @@ _MAX_EDGE_RATIO = 4 / 3
 _MAX_SPLIT_PASSES, _MAX_FLIP_PASSES = 12, 30
 # Minimum cotangent sum of the angles opposite an edge; Delaunay edges have at least 0.
 _MIN_COTANGENT_SUM = -1e-6
+# Minimum area of the triangles that a flip creates, as part of the area of both.
+_MIN_FLIP_RATIO = 1e-5
 # Part of the way to the mean of its neighbours that a vertex moves after each split pass.
 _RELAXATION_STEP = 0.5
 
@@ -149,9 +150,9 @@ def _is_flip_valid(points: Floats, first: Ids, second: Ids, turned: list[Ids]) -
     """Return a mask of the flips that neither fold the surface nor create a triangle without area."""
     before = compute_normals(points, first) + compute_normals(points, second)
     total = np.linalg.norm(before, axis=1)
-    return np.logical_and.reduce(
-        [(compute_normals(points, one) * before).sum(axis=1) > MAX_FLATNESS**0.5 * total**2 for one in turned]
-    )
+    first_area, second_area = ((compute_normals(points, one) * before).sum(axis=1) for one in turned)
+    smallest = np.minimum(first_area, second_area)
+    return np.asarray(smallest > _MIN_FLIP_RATIO * total**2)
 
 
 def _relax(caps: CapMesh) -> CapMesh:

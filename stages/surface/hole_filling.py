@@ -83,8 +83,10 @@ def find_caps(
             continue
         if np.linalg.norm(np.roll(rim, -1, axis=0) - rim, axis=1).sum() > max_length:
             continue
+        if not _is_cap_facing_rim(mesh, mesh.triangles[rim_triangles], rim):
+            continue
         cap = triangulate_loop(rim, loop, existing)
-        if cap is not None and _is_cap_facing_rim(mesh, mesh.triangles[rim_triangles], loop[cap]):
+        if cap is not None:
             caps.append(LoopCap(loop, rim_triangles, cap))
     return caps
 
@@ -198,15 +200,16 @@ def _compute_doubled_areas(a: Vertices, b: Vertices, c: Vertices) -> NDArray[np.
     return np.where(doubled <= MAX_FLATNESS * longest, np.inf, doubled)
 
 
-def _is_cap_facing_rim(mesh: Mesh, rim_triangles: Triangles, cap: Triangles | Ids) -> bool:
-    """Return True if the cap faces the same way as the rim triangles."""
-    cap_normal, rim_normal = _sum_normals(mesh.vertices, cap), _sum_normals(mesh.vertices, rim_triangles)
+def _is_cap_facing_rim(mesh: Mesh, rim_triangles: Triangles, rim: Vertices) -> bool:
+    """Return True if a cap of the rim (k, 3) faces the same way as the rim triangles.
+
+    The sum of the cap's normals is the same for all triangulations.
+    """
+    offsets = rim - rim[0]
+    cap_normal = np.cross(offsets, np.roll(offsets, -1, axis=0)).sum(axis=0)
+    a, b, c = mesh.vertices[rim_triangles].transpose(1, 0, 2)
+    rim_normal = np.cross(b - a, c - a).sum(axis=0)
     return bool(
         cap_normal @ rim_normal
         >= _MIN_FACING_COSINE * np.linalg.norm(cap_normal) * np.linalg.norm(rim_normal)
     )
-
-
-def _sum_normals(vertices: Vertices, triangles: Triangles | Ids) -> NDArray[np.float64]:
-    a, b, c = vertices[triangles].transpose(1, 0, 2)
-    return np.asarray(np.cross(b - a, c - a).sum(axis=0))
