@@ -100,7 +100,7 @@ STAGE = Stage(
     artifact=RefinedMesh,
     run=_run,
     versions=_list_versions,
-    libraries=list_installed_versions("scanloom", "opencv"),
+    libraries=list_installed_versions("scanloom", "opencv", "scipy"),
     result_names=(RefinedMesh.FILE,),
     cost=CostModel(seconds_per_megapixel=0.4, max_bytes=MAX_BYTES_IN_CHUNKS),
     headline=_format_headline,

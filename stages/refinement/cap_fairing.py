@@ -48,12 +48,12 @@ def fair(points: Floats, triangles: Ids, rim: Ids, free: Ids) -> Floats:
     -------
     Positions (k, 3) of the free vertices.
     """
+    from scipy.sparse import diags
+
     rows = np.concatenate([free, rim])
     laplacian = _build_laplacian(points, triangles, lowest=-_MAX_COTANGENT)[rows]
     areas = np.zeros(len(points))
     np.add.at(areas, triangles, np.linalg.norm(compute_normals(points, triangles), axis=1)[:, None] / 6)
-    from scipy.sparse import diags
-
     to_free = laplacian[:, free]
     weighted = to_free.T @ diags(1 / areas[rows])
     return _solve(weighted @ to_free, -weighted @ _apply_to_others(laplacian, free, points))

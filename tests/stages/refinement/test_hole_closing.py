@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from scanloom.stages.fusion.scene_statistics import DepthNoise
 from scanloom.stages.refinement.free_space import FreeSpaceTest
 from scanloom.stages.refinement.hole_closing import ClosedHoles, close_holes
 from scanloom.stages.scans.model.scan import Camera
+from scanloom.stages.surface.formats.ply import read_ply, read_vertex_values, write_ply
 from tests.made.posed_scene import BOARD, BOARD_Z, CAMERA, make_posed_scan
 
 EDGE = 0.01  # grid spacing of the made meshes, metres
@@ -96,6 +98,17 @@ def test_a_hole_in_a_wall_is_filled_flat() -> None:
     assert (found.deviations[found.is_filled] > 0.0005).all()
     assert found.mesh.colors is not None
     assert (found.mesh.colors == colors[0]).all()
+
+
+def test_the_mark_is_written_and_no_cause_for_a_warning(tmp_path: Path) -> None:
+    found = _close(_make_grid(40, _make_wall, _is_round_hole))
+    write_ply(
+        tmp_path / "refined.ply", found.mesh, vertex_values={"filled": found.is_filled.astype(np.float64)}
+    )
+    values = read_vertex_values(tmp_path / "refined.ply", "filled")
+    assert values is not None
+    assert np.array_equal(values > 0, found.is_filled)
+    assert read_ply(tmp_path / "refined.ply").diagnostics == ()
 
 
 def test_a_cap_has_the_edge_length_of_the_mesh() -> None:
