@@ -1,6 +1,7 @@
 """Stage `refine`: removes the noise of the sensor from the clean mesh.
 
-refined.ply            mesh; vertex property `deviation`: standard deviation along the normal, metres
+refined.ply            mesh; vertex property `deviation`: standard deviation along the normal, metres;
+                       `filled`: 1 inside of closed holes, otherwise 0
 refined.pieces.json    chunk table, if the mesh exceeds the in-memory limit; it is then the clean mesh
 """
 
@@ -10,6 +11,8 @@ import shutil
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
+
+import numpy as np
 
 from scanloom.pipeline.artifacts.mesh_file import MeshFile
 from scanloom.pipeline.artifacts.posed_frames import PosedFrames
@@ -59,7 +62,8 @@ def _run(inputs: RefineInputs, params: RefineParams, context: Context) -> Mappin
     if inputs.clean_mesh.is_large:
         return _copy_large_mesh(inputs.clean_mesh, result, params)
     refined = refine(inputs.clean_mesh.load(), inputs.load_posed(), params, progress=context.progress)
-    write_ply(result, refined.mesh, vertex_values={"deviation": refined.deviations})
+    values = {"deviation": refined.deviations, "filled": refined.is_filled.astype(np.float64)}
+    write_ply(result, refined.mesh, vertex_values=values)
     metrics = refined.to_dict()
     warn_skipped_frames(metrics["frames_skipped"])
     return metrics
@@ -86,7 +90,8 @@ def _list_versions(known: Mapping[str, Any], config: Sections) -> Mapping[str, i
 def _format_headline(metrics: Mapping[str, Any]) -> str:
     if "move_rms_m" not in metrics or metrics["move_max_m"] == 0:
         return "{triangles:,} triangles; the mesh is left as it is"
-    return "{triangles:,} triangles; moved by {move_rms_m:.2g} m RMS; {planes:,} planes"
+    moved = "{triangles:,} triangles; moved by {move_rms_m:.2g} m RMS; {planes:,} planes"
+    return moved + ("; {filled_holes:,} holes filled" if metrics["filled_holes"] else "")
 
 
 STAGE = Stage(
@@ -97,7 +102,7 @@ STAGE = Stage(
     artifact=RefinedMesh,
     run=_run,
     versions=_list_versions,
-    libraries=list_installed_versions("scanloom", "opencv"),
+    libraries=list_installed_versions("scanloom", "opencv", "scipy"),
     result_names=(RefinedMesh.FILE,),
     cost=CostModel(seconds_per_megapixel=0.4, max_bytes=MAX_BYTES_IN_CHUNKS),
     headline=_format_headline,

@@ -289,6 +289,7 @@ class RefineKeywords(TypedDict, total=False):
 
     strength: float
     planes: bool
+    fill_holes: float | None
 
 
 class RegisterKeywords(TypedDict, total=False):

@@ -24,5 +24,13 @@ class RefineParams:
         "Make patches planar that are planar within the noise, with straight creases between them.",
     )
 
+    fill_holes: float | None = param(
+        None,
+        "Fill holes whose border is at most this long, if no frame has looked through them; 0 fills none. "
+        "Default: 20 times the mean edge length.",
+        unit="m",
+        low=0,
+    )
+
     def __post_init__(self) -> None:
         check_parameters(self)

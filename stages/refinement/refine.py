@@ -8,12 +8,14 @@ A fused surface has the noise of the sensor, and lies slightly inside of convex 
 3. Move the filtered surface to the depth measurements, by a smooth correction along the normals.
 4. Make patches planar that are planar within the standard deviation, with straight creases between them.
 5. Remove flaps: narrow surface that no frame has measured from the front; and smooth the boundary.
+6. Close small holes by continuing the surface, where no frame has seen free space.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -36,6 +38,7 @@ from scanloom.stages.progress import Progress, ignore_progress
 from scanloom.stages.refinement.codes import REFINE_DATA_LEFT_OUT, REFINE_NOT_POSSIBLE
 from scanloom.stages.refinement.depth_frames import DepthFrames
 from scanloom.stages.refinement.flaps import mask_flaps
+from scanloom.stages.refinement.hole_closing import close_holes
 from scanloom.stages.refinement.params import RefineParams
 from scanloom.stages.scans.codes import SCAN_FRAMES_SKIPPED
 from scanloom.stages.scans.model.scan import Frame, Scan, SkippedFrame
@@ -48,7 +51,7 @@ if TYPE_CHECKING:
 
     from scanloom.stages.params.keywords import RefineKeywords
 
-RESULT_VERSION = 1
+RESULT_VERSION = 2
 
 # Corrections towards the depth measurements. The second one starts from a better surface.
 _CORRECTION_COUNT = 2
@@ -71,6 +74,9 @@ class RefinementResult:
     noise : depth noise of a single measurement (see `DepthNoise`); None if the mesh was not refined.
     moves : (k,) distance of each vertex that stayed from its position in the input, metres.
     removed_triangles : number of triangles of removed flaps.
+    is_filled : (n,) True for the vertices inside of closed holes, which no frame measured.
+    filled_holes : number of closed holes.
+    filled_area : area of the closed holes, m².
     skipped : frames that could not be used.
     diagnostics : what was left out.
     """
@@ -82,6 +88,9 @@ class RefinementResult:
     noise: DepthNoise | None
     moves: Floats
     removed_triangles: int
+    is_filled: NDArray[np.bool_]
+    filled_holes: int = 0
+    filled_area: float = 0.0
     skipped: tuple[SkippedFrame, ...] = ()
     diagnostics: tuple[Diagnostic, ...] = ()
 
@@ -99,6 +108,8 @@ class RefinementResult:
             "planes": self.plane_count,
             "planar_ratio": float((self.plane_ids >= 0).mean()) if len(self.plane_ids) else 0.0,
             "removed_triangles": self.removed_triangles,
+            "filled_holes": self.filled_holes,
+            "filled_area_m2": self.filled_area,
             "frames_skipped": [frame.to_dict() for frame in self.skipped],
         }
 
@@ -120,7 +131,7 @@ def refine(
     ----------
     mesh : Mesh, Open3D or trimesh mesh, or a pair of arrays, in the world coordinates of the poses: an
         oriented manifold, as `clean` returns it.
-    frames : frames with depth and poses that the mesh was fused from. Each is read up to three times.
+    frames : frames with depth and poses that the mesh was fused from. Each is read up to four times.
     params, **changes : see RefineParams.
     progress : called after each frame.
 
@@ -181,6 +192,7 @@ def _keep_mesh(mesh: Mesh) -> RefinementResult:
         noise=None,
         moves=np.zeros(count),
         removed_triangles=0,
+        is_filled=np.zeros(count, bool),
     )
 
 
@@ -191,8 +203,9 @@ def _refine(
     refiner = _kernels.SurfaceRefiner(
         mesh.vertices, mesh.triangles, strength=params.strength, wanted_threads=0
     )
-    passes = 1 + _CORRECTION_COUNT
-    for number in range(passes):
+    # The last pass looks for free space.
+    passes = 2 + _CORRECTION_COUNT
+    for number in range(passes - 1):
 
         def observe(view: PosedDepth) -> None:
             camera = view.camera
@@ -200,10 +213,7 @@ def _refine(
             pose = np.ascontiguousarray(view.pose, np.float64)
             refiner.observe((pinhole, pose), view.surface.depth, (noise.constant, noise.quadratic))
 
-        def report(done: int, first: int = number * len(depth_frames)) -> None:
-            progress(first + done, passes * len(depth_frames))
-
-        depth_frames.show_all(observe, report)
+        depth_frames.show_all(observe, partial(_report_pass, progress, number, passes, len(depth_frames)))
         refiner.filter() if number == 0 else refiner.correct()
     if params.planes:
         refiner.flatten()
@@ -217,16 +227,34 @@ def _refine(
     smooth = _kernels.smooth_boundaries(
         kept.mesh.vertices, kept.mesh.triangles, max_move_ratio=_MAX_BOUNDARY_MOVE, wanted_threads=0
     )
+    report = partial(_report_pass, progress, passes - 1, passes, len(depth_frames))
+    closed = close_holes(
+        kept.mesh.with_(vertices=smooth),
+        plane_ids[kept.vertex_source],
+        deviations[kept.vertex_source],
+        noise,
+        lambda test: depth_frames.show_all(test.observe, report),
+        params.fill_holes,
+    )
+    progress(passes * len(depth_frames), passes * len(depth_frames))
     return RefinementResult(
-        mesh=kept.mesh.with_(vertices=smooth),
-        deviations=deviations[kept.vertex_source],
-        plane_ids=plane_ids[kept.vertex_source],
+        mesh=closed.mesh,
+        deviations=closed.deviations,
+        plane_ids=closed.plane_ids,
         plane_count=plane_count,
         noise=noise,
         moves=moves[: len(sources)],
         removed_triangles=int(np.count_nonzero(is_flap)),
+        is_filled=closed.is_filled,
+        filled_holes=closed.hole_count,
+        filled_area=closed.area,
         skipped=tuple(depth_frames.skipped.values()),
     )
+
+
+def _report_pass(progress: Progress, number: int, passes: int, frame_count: int, done: int) -> None:
+    """Report progress in one of several passes over all frames."""
+    progress(number * frame_count + done, passes * frame_count)
 
 
 def _interpolate_colors(

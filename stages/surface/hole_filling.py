@@ -6,6 +6,8 @@ chains of the border loop. No vertex is added, so new triangles take the colours
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -21,13 +23,28 @@ _MAX_EDGES = 500
 _MIN_FACING_COSINE = -0.5
 
 
+@dataclass(frozen=True, eq=False)
+class LoopCap:
+    """Triangulated cap of a border loop.
+
+    Attributes
+    ----------
+    loop : (k,) vertices of the border loop, in the direction of the cap.
+    rim_triangles : (k,) triangle at each edge of the loop.
+    triangles : (k − 2, 3) cap, as positions in `loop`.
+    """
+
+    loop: Ids
+    rim_triangles: Ids
+    triangles: Triangles
+
+
 def fill_holes(
     traced: TrackedMesh, max_length: float = np.inf, max_extent: float = np.inf
 ) -> tuple[TrackedMesh, int]:
     """Fill small holes; return the mesh and the number of filled holes.
 
-    Some loops stay open: outer boundaries of components, loops of more than 500 edges, and loops that share a
-    vertex with another border loop. So do loops that cannot be closed without non-manifold edges.
+    Some loops stay open; see `find_caps`.
 
     Parameters
     ----------
@@ -36,10 +53,29 @@ def fill_holes(
     max_extent : exclusive limit of the bounding-box diagonal of the border loop in metres.
     """
     mesh = traced.mesh
-    edges = build_edges(mesh.triangles, len(mesh.vertices))
-    existing = set(
-        map(tuple, edges.ends[np.isin(edges.ends, _find_border_vertices(edges)).all(axis=1)].tolist())
-    )
+    caps = find_caps(mesh, build_edges(mesh.triangles, len(mesh.vertices)), max_length, max_extent)
+    if not caps:
+        return traced, 0
+    triangles = np.concatenate([cap.loop[cap.triangles] for cap in caps]).astype(np.int32)
+    return traced.append_triangles(triangles), len(caps)
+
+
+def find_caps(
+    mesh: Mesh, edges: Edges, max_length: float = np.inf, max_extent: float = np.inf
+) -> list[LoopCap]:
+    """Find the caps of small holes.
+
+    Some loops have none: outer boundaries of components, loops of more than 500 edges, and loops that share a
+    vertex with another border loop. The same applies to loops that cannot be closed without non-manifold
+    edges.
+
+    Parameters
+    ----------
+    edges : edges of the mesh.
+    max_length : maximum length of the border loop in metres.
+    max_extent : exclusive limit of the bounding-box diagonal of the border loop in metres.
+    """
+    existing = find_border_chords(edges)
     caps = []
     for loop, rim_triangles in _trace_border_loops(mesh, edges):
         rim = mesh.vertices[loop]
@@ -47,12 +83,37 @@ def fill_holes(
             continue
         if np.linalg.norm(np.roll(rim, -1, axis=0) - rim, axis=1).sum() > max_length:
             continue
-        cap = _triangulate_min_area(rim, _find_allowed_edges(loop, existing))
-        if cap is not None and _is_cap_facing_rim(mesh, mesh.triangles[rim_triangles], loop[cap]):
-            caps.append(loop[cap])
-    if not caps:
-        return traced, 0
-    return traced.append_triangles(np.concatenate(caps).astype(np.int32)), len(caps)
+        if not _is_cap_facing_rim(mesh, mesh.triangles[rim_triangles], rim):
+            continue
+        cap = triangulate_loop(rim, loop, existing)
+        if cap is not None:
+            caps.append(LoopCap(loop, rim_triangles, cap))
+    return caps
+
+
+def find_border_chords(edges: Edges) -> set[tuple[int, int]]:
+    """Return the edges between border vertices, smaller vertex first."""
+    between = np.isin(edges.ends, _find_border_vertices(edges)).all(axis=1)
+    return set(map(tuple, edges.ends[between].tolist()))
+
+
+def triangulate_loop(rim: Vertices, loop: Ids, existing: set[tuple[int, int]]) -> Triangles | None:
+    """Compute the minimum-area triangulation (k, 3) of a loop, as positions in the loop.
+
+    Parameters
+    ----------
+    rim : (n, 3) positions of the loop's vertices, metres.
+    loop : (n,) vertices of the loop.
+    existing : vertex pairs that cannot become an edge, smaller vertex first; edges of the loop are excepted.
+
+    Returns
+    -------
+    None if there is no such triangulation.
+    """
+    if len(loop) == 3:
+        is_flat = np.isinf(_compute_doubled_areas(*rim))
+        return None if is_flat else np.array([[0, 1, 2]], np.int32)
+    return _triangulate_min_area(rim, _find_allowed_edges(loop, existing))
 
 
 def _find_border_vertices(edges: Edges) -> Ids:
@@ -139,15 +200,16 @@ def _compute_doubled_areas(a: Vertices, b: Vertices, c: Vertices) -> NDArray[np.
     return np.where(doubled <= MAX_FLATNESS * longest, np.inf, doubled)
 
 
-def _is_cap_facing_rim(mesh: Mesh, rim_triangles: Triangles, cap: Triangles | Ids) -> bool:
-    """Return True if the cap faces the same way as the rim triangles."""
-    cap_normal, rim_normal = _sum_normals(mesh.vertices, cap), _sum_normals(mesh.vertices, rim_triangles)
+def _is_cap_facing_rim(mesh: Mesh, rim_triangles: Triangles, rim: Vertices) -> bool:
+    """Return True if a cap of the rim (k, 3) faces the same way as the rim triangles.
+
+    The sum of the cap's normals is the same for all triangulations.
+    """
+    offsets = rim - rim[0]
+    cap_normal = np.cross(offsets, np.roll(offsets, -1, axis=0)).sum(axis=0)
+    a, b, c = mesh.vertices[rim_triangles].transpose(1, 0, 2)
+    rim_normal = np.cross(b - a, c - a).sum(axis=0)
     return bool(
         cap_normal @ rim_normal
         >= _MIN_FACING_COSINE * np.linalg.norm(cap_normal) * np.linalg.norm(rim_normal)
     )
-
-
-def _sum_normals(vertices: Vertices, triangles: Triangles | Ids) -> NDArray[np.float64]:
-    a, b, c = vertices[triangles].transpose(1, 0, 2)
-    return np.asarray(np.cross(b - a, c - a).sum(axis=0))

@@ -55,7 +55,7 @@ _FACE_PROPERTIES = ("vertex_indices", "vertex_index", "texcoord", "texnumber", "
 _SCANLOOM_FACE_PROPERTIES = ("material_index", "part_index", "corner_normals")
 _COLOR_PROPERTIES = tuple(name for names in _COLOR_NAMES for name in names)
 # Measurements that scanloom writes. They are not read, because they need not be true for an edited mesh.
-_MEASURED_VERTEX_PROPERTIES = ("frames", "angle", "mean_angle", "pixel", "spread", "deviation")
+_MEASURED_VERTEX_PROPERTIES = ("frames", "angle", "mean_angle", "pixel", "spread", "deviation", "filled")
 _COMPUTED_FACE_PROPERTIES = ("shape_bound", "color_bound", "patch")
 _KNOWN_PROPERTIES = {
     "vertex": ("vertices", (*_VERTEX_PROPERTIES, *_COLOR_PROPERTIES, *_MEASURED_VERTEX_PROPERTIES)),
