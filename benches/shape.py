@@ -114,9 +114,8 @@ def make_surfaces(scan: Scan) -> Iterator[ScannedSurface]:
     steps: dict[str, Callable[[], Mesh]] = {
         "Open3D": lambda: fuse_voxel_block_grid(scan, fused.voxel_size, RunTimes()),
         "normal filter": lambda: filter_mesh(clean),
+        "refine": lambda: scanloom.refine(clean, scan).mesh,
     }
-    if hasattr(scanloom, "refine"):
-        steps["refine"] = lambda: scanloom.refine(clean, scan).mesh
     for name, step in steps.items():
         start = time.perf_counter()
         mesh = step()
