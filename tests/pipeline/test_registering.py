@@ -90,7 +90,7 @@ def test_pieces_are_fused_apart(unposed: Path, tmp_path: Path) -> None:
     apart = read_ply(tmp_path / "out" / "pieces" / "fused-2.ply")
     assert 1000 < len(apart.triangles) < len(read_ply(tmp_path / "out" / "fused.ply").triangles)
     said = [one["message"] for one in result.report["stages"]["fuse"]["diagnostics"]]
-    assert any("fused apart" in text for text in said)
+    assert any("fused separately" in text for text in said)
 
     other = run(
         folder, tmp_path / "out", config("scan.every=2", "scan.last=17", "register.piece=2"), until="fuse"
@@ -119,7 +119,7 @@ def test_to_refine_has_no_effect_where_poses_are_adjusted(tmp_path: Path) -> Non
 def test_a_scan_with_poses_has_no_such_stage_unless_asked_for(tmp_path: Path) -> None:
     plain = run(SAMPLE, tmp_path / "plain", config(), until="fuse")
     assert [outcome.stage for outcome in plain.stages] == ["adjust", "fuse"]
-    with pytest.raises(UsageError, match="register is not a stage of this scan: its frames have poses"):
+    with pytest.raises(UsageError, match="register does not apply to this scan: its frames have poses"):
         run(SAMPLE, tmp_path / "no", config(), until="register")
     anew = run(SAMPLE, tmp_path / "anew", config("register.enabled=true"), until="register")
     assert [outcome.stage for outcome in anew.stages] == ["register"]

@@ -151,7 +151,7 @@ def test_what_is_told_and_flown_to(page: Any) -> None:
     assert "Deviation of B from A, sampled" in text
     assert "before.ply" in page.title()
     assert ("Farther than 200 mm" in text) == page.is_of_meshes
-    assert ("Drawn from around, by their colours" in text) == page.is_of_meshes
+    assert ("Pictures from all around, in colour" in text) == page.is_of_meshes
     assert "nan" not in text.lower()
     if page.is_of_meshes:
         # The farthest off is the new ball: its place is told in the axes of the files, and flown to.

@@ -252,7 +252,7 @@ def test_keys_controls_and_address_change_the_picture(chromium: Any, tiles: Path
         page.evaluate("scanloom.settled()")
         assert seen.mask().sum() > whole
         before = page.evaluate("scanloom.view().eye")
-        page.mouse.rows()
+        page.mouse.down()
         page.mouse.move(WIDTH / 2 + 60, HEIGHT / 2)
         page.mouse.up()
         assert np.linalg.norm(np.subtract(page.evaluate("scanloom.view().eye"), before)) > 1
