@@ -268,10 +268,11 @@ def _make_texture_jobs() -> Iterator[Job]:
             f"textures/{name}",
             (
                 f"simplify {original} light.ply --method quadric --ratio 0.1 --json",
-                f"bake light.ply {original} baked.glb --json",
-                f"bake light.ply {original} small.obj --set bake.max_size=256 --set bake.padding=2 --set "
-                "bake.samples=3 --json",
-                f"bake light.ply {original} fine.ply --texel-size 0.01 --set bake.max_size=1024 --json",
+                f"mesh bake light.ply {original} baked.glb --json",
+                f"mesh bake light.ply {original} small.obj --set bake.max_size=256 --set bake.padding=2 "
+                "--set bake.samples=3 --json",
+                f"mesh bake light.ply {original} fine.ply --set bake.texel_size=0.01 "
+                "--set bake.max_size=1024 --json",
                 f"simplify {original} baked_at_once.glb --ratio 0.2 --bake --json",
             ),
         )
@@ -488,7 +489,7 @@ def _make_kitchen_jobs() -> Iterator[Job]:
             "mesh patches clean.ply patches.ply --max-shape 0.02 --json",
             "compare clean.ply quadric.ply --set compare.samples=200000 --json",
             "mesh certify certified.ply clean.ply --max-shape 0.03 --json",
-            "bake quadric.ply clean.ply baked.glb --set bake.max_size=1024 --json",
+            "mesh bake quadric.ply clean.ply baked.glb --set bake.max_size=1024 --json",
         ),
     )
     yield Job(

@@ -10,6 +10,7 @@ from __future__ import annotations
 import shutil
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -24,10 +25,8 @@ from scanloom.pipeline.stage import Context, Stage
 from scanloom.pipeline.steps.clean import CleanMesh
 from scanloom.stages.cleaning.clean import clean
 from scanloom.stages.comparing.certify import certify
-from scanloom.stages.diagnostics.collector import emit
 from scanloom.stages.fusion.depth_noise import estimate_depth_noise
 from scanloom.stages.inspecting.libraries import list_installed_versions
-from scanloom.stages.refinement.codes import REFINE_NOT_POSSIBLE
 from scanloom.stages.refinement.params import RefineParams
 from scanloom.stages.refinement.refine import refine
 from scanloom.stages.surface.chunked_ply import make_table_path
@@ -60,7 +59,7 @@ class RefineInputs(PosedFrames):
 def _run(inputs: RefineInputs, params: RefineParams, context: Context) -> Mapping[str, Any]:
     result = context.folder / RefinedMesh.FILE
     if inputs.clean_mesh.is_large:
-        return _copy_large_mesh(inputs.clean_mesh, result, params)
+        return _copy_large_mesh(inputs.clean_mesh, result)
     refined = refine(inputs.clean_mesh.load(), inputs.load_posed(), params, progress=context.progress)
     values = {"deviation": refined.deviations, "filled": refined.is_filled.astype(np.float64)}
     write_ply(result, refined.mesh, vertex_values=values)
@@ -69,17 +68,10 @@ def _run(inputs: RefineInputs, params: RefineParams, context: Context) -> Mappin
     return metrics
 
 
-def _copy_large_mesh(clean_mesh: CleanMesh, result: Any, params: RefineParams) -> Mapping[str, Any]:
+def _copy_large_mesh(clean_mesh: CleanMesh, result: Path) -> Mapping[str, Any]:
     shutil.copyfile(clean_mesh.path, result)
     shutil.copyfile(make_table_path(clean_mesh.path), make_table_path(result))
-    if params.strength > 0:
-        emit(
-            REFINE_NOT_POSSIBLE.warning(
-                "the mesh is not refined: it has {triangles:,} triangles and is processed in chunks.",
-                triangles=clean_mesh.triangle_count,
-            )
-        )
-    return {"triangles": clean_mesh.triangle_count}
+    return {"triangles": clean_mesh.triangle_count, "why": "it is processed in chunks"}
 
 
 def _list_versions(known: Mapping[str, Any], config: Sections) -> Mapping[str, int]:  # noqa: ARG001
@@ -88,8 +80,8 @@ def _list_versions(known: Mapping[str, Any], config: Sections) -> Mapping[str, i
 
 
 def _format_headline(metrics: Mapping[str, Any]) -> str:
-    if "move_rms_m" not in metrics or metrics["move_max_m"] == 0:
-        return "{triangles:,} triangles; the mesh is left as it is"
+    if metrics["why"]:
+        return "{triangles:,} triangles, left as they are: {why}"
     moved = "{triangles:,} triangles; moved by {move_rms_m:.2g} m RMS; {planes:,} planes"
     return moved + ("; {filled_holes:,} holes filled" if metrics["filled_holes"] else "")
 

@@ -35,7 +35,7 @@ from scanloom.stages.fusion.scene_statistics import DepthNoise
 from scanloom.stages.params import resolve
 from scanloom.stages.printing import format_by_metrics, render_table
 from scanloom.stages.progress import Progress, ignore_progress
-from scanloom.stages.refinement.codes import REFINE_DATA_LEFT_OUT, REFINE_NOT_POSSIBLE
+from scanloom.stages.refinement.codes import REFINE_DATA_LEFT_OUT
 from scanloom.stages.refinement.depth_frames import DepthFrames
 from scanloom.stages.refinement.flaps import mask_flaps
 from scanloom.stages.refinement.hole_closing import close_holes
@@ -60,6 +60,8 @@ _MAX_BOUNDARY_MOVE = 0.5
 
 Floats = NDArray[np.float64]
 
+_NO_NOISE = "the frames do not overlap enough to measure the noise of their depth"
+
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class RefinementResult:
@@ -77,6 +79,7 @@ class RefinementResult:
     is_filled : (n,) True for the vertices inside of closed holes, which no frame measured.
     filled_holes : number of closed holes.
     filled_area : area of the closed holes, m².
+    reason : why the mesh was left as it is; empty if it was refined.
     skipped : frames that could not be used.
     diagnostics : what was left out.
     """
@@ -91,6 +94,7 @@ class RefinementResult:
     is_filled: NDArray[np.bool_]
     filled_holes: int = 0
     filled_area: float = 0.0
+    reason: str = ""
     skipped: tuple[SkippedFrame, ...] = ()
     diagnostics: tuple[Diagnostic, ...] = ()
 
@@ -110,6 +114,7 @@ class RefinementResult:
             "removed_triangles": self.removed_triangles,
             "filled_holes": self.filled_holes,
             "filled_area_m2": self.filled_area,
+            "why": self.reason,
             "frames_skipped": [frame.to_dict() for frame in self.skipped],
         }
 
@@ -156,32 +161,22 @@ def refine(
     folder = frames.folder if isinstance(frames, Scan) else None
     usable = [one for one in (frames.frames if isinstance(frames, Scan) else frames) if one.depth is not None]
     with collecting() as diagnostics:
-        noise = None if params.strength == 0 else _measure_noise(usable, folder)
-        if noise is None:
-            refined = _keep_mesh(given)
+        noise = DepthNoise() if params.strength == 0 else _measure_noise(usable, folder)
+        if noise == DepthNoise():
+            refined = _keep_mesh(given, "strength is 0" if params.strength == 0 else _NO_NOISE)
         else:
             depth_frames = DepthFrames(usable, make_depth_limits(FuseParams()))
             refined = _refine(given, depth_frames, noise, params, progress)
     return replace(refined, diagnostics=tuple(diagnostics))
 
 
-def _measure_noise(frames: Sequence[Frame], folder: Path | None) -> DepthNoise | None:
-    """Measure the depth noise; None, with a warning, if frames do not overlap enough."""
+def _measure_noise(frames: Sequence[Frame], folder: Path | None) -> DepthNoise:
     if not frames:
         raise InputError(SCAN_FRAMES_SKIPPED, "no frame has a depth map, which `refine` requires.", folder)
-    noise = measure_depth_noise(frames, folder).noise
-    if noise.constant > 0 or noise.quadratic > 0:
-        return noise
-    emit(
-        REFINE_NOT_POSSIBLE.warning(
-            "the mesh is not refined: neighbouring frames do not overlap enough to measure the noise of "
-            "their depth."
-        )
-    )
-    return None
+    return measure_depth_noise(frames, folder).noise
 
 
-def _keep_mesh(mesh: Mesh) -> RefinementResult:
+def _keep_mesh(mesh: Mesh, reason: str) -> RefinementResult:
     """Return the mesh as it is, as the result of a refinement that changes nothing."""
     count = len(mesh.vertices)
     return RefinementResult(
@@ -193,6 +188,7 @@ def _keep_mesh(mesh: Mesh) -> RefinementResult:
         moves=np.zeros(count),
         removed_triangles=0,
         is_filled=np.zeros(count, bool),
+        reason=reason,
     )
 
 

@@ -111,6 +111,10 @@ class BakePlan:
                 class_ids = mesh.texture.material_ids
             else:
                 class_ids = self.class_ids[found.triangle_source]
+            if not any(self.classes[number].is_baked for number in np.unique(class_ids)):
+                # All triangles with an image are gone.
+                emit(create_texture_warning("simplify"))
+                return replace(found, mesh=mesh.with_(texture=None))
             baked = bake_materials(mesh, self.original, class_ids, self.class_ids, self.classes)
         parts = self.original.part_ids
         mesh = baked.mesh

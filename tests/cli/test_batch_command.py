@@ -96,7 +96,7 @@ def test_a_dry_run_foresees_each_scan_and_writes_nothing(scanloom: Run, scans: P
     assert "not valid JSON" in ran.json["scans"][0]["error"]
     assert ran.json["expected_memory_mb"] > 100
     text = scanloom("batch", scans, "-o", tmp_path / "out", "--dry-run").stdout
-    assert re.search(r"^scan-0000 +plain-rgbd +4 +7 +0 +", text, re.MULTILINE)
+    assert re.search(r"^scan-0000 +plain-rgbd +4 +8 +0 +", text, re.MULTILINE)
 
 
 @pytest.mark.slow

@@ -426,7 +426,16 @@ def test_a_dry_run_says_what_would_be_done_and_writes_nothing(
     assert "fuse: first run" in ran.stdout
     found = scanloom(*words, "--json").json
     assert found["dry_run"]
-    assert list(found["stages"]) == ["adjust", "fuse", "clean", "upright", "simplify", "texture", "report"]
+    assert list(found["stages"]) == [
+        "adjust",
+        "fuse",
+        "clean",
+        "refine",
+        "upright",
+        "simplify",
+        "texture",
+        "report",
+    ]
     assert found["stages"]["fuse"]["expected_seconds"] > 0
     assert list(tmp_path.iterdir()) == []
     scanloom(*words[:-1], "--until", "clean")
@@ -458,7 +467,7 @@ def test_a_run_leaves_a_page_that_is_its_own(scanloom: Run, tiny_scan: Path, tmp
     assert ran.json["page"] == str(page.resolve())
     assert 1_000_000 < page.stat().st_size < 5_000_000
     text = page.read_text()
-    assert all(f'"{name}"' in text for name in ("result", "clean mesh", "deviation"))
+    assert all(f'"{name}"' in text for name in ("result", "refined mesh", "deviation"))
     # Nothing has changed: it stays.
     before = page.stat().st_mtime_ns
     assert scanloom(*words).exit_code == 0

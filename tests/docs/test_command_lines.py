@@ -30,7 +30,7 @@ COMMANDS = {" ".join(words): words for words in iterate_commands()}
 WORDS = {word for words in COMMANDS.values() for word in words} | set(GROUPS)
 # Options of other programs that pages name.
 OTHERS = {
-    *("--again", "--visitor", "--truth", "--reach"),  # of scripts
+    *("--again", "--visitor", "--warp", "--frames", "--seed", "--truth", "--reach"),  # of scripts
     *("--cores", "--nthreads", "--executor", "--default-resources", "--keep-going"),  # Dask and Snakemake
 }
 

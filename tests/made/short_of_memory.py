@@ -73,6 +73,10 @@ def _make_calls(mesh: Mesh, side: int) -> dict[str, Call]:
         "optimize_strip_order": partial(kernels.optimize_strip_order, mesh.triangles, count),
         "encode_rows": partial(kernels.encode_rows, mesh.vertices.view(np.uint8)),
         "encode_triangles": partial(kernels.encode_triangles, mesh.triangles, count),
+        "smooth_boundaries": partial(
+            kernels.smooth_boundaries, mesh.vertices, mesh.triangles, max_move_ratio=0.5, wanted_threads=2
+        ),
+        "refine_surface": partial(_refine_surface, mesh),
         "compute_spatial_order": partial(kernels.compute_spatial_order, mesh.vertices, mesh.triangles),
         "build_levels": partial(
             kernels.build_levels,
@@ -335,6 +339,20 @@ def _integrate_wall(side: int) -> object:
 
 def _make_wall_camera(side: int) -> tuple[tuple[float, float, float, float, int, int], NDArray[np.float64]]:
     return (side, side, side / 2, side / 2, side, side), np.eye(4)
+
+
+def _refine_surface(mesh: Mesh) -> object:
+    refiner = kernels.SurfaceRefiner(mesh.vertices, mesh.triangles, strength=1.0, wanted_threads=2)
+    pose = np.eye(4)
+    pose[2, 3] = -1.0
+    camera = ((100.0, 100.0, 50.0, 50.0, 100, 100), pose)
+    depth = np.ones((100, 100), np.float32)
+    refiner.observe(camera, depth, (0.01, 0.0))
+    refiner.filter()
+    refiner.observe(camera, depth, (0.01, 0.0))
+    refiner.correct()
+    refiner.flatten()
+    return refiner.finish()
 
 
 def _remesh(mesh: Mesh, levels: int = 3) -> kernels.NormalMesh:

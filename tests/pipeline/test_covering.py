@@ -178,7 +178,7 @@ def test_other_parameters_work_anew_and_the_next_run_without_takes_it_away(here:
 
 def test_a_scan_that_was_moved_is_asked_for_and_then_all_is_cached(here: Path, tmp_path: Path) -> None:
     made = make_scan(tmp_path / "first")
-    run(made, here / "other", Config().set(QUICK), until="clean")
+    run(made, here / "other", Config().set(QUICK), until="refine")
     made.rename(tmp_path / "second")
     with pytest.raises(InputError, match="does not exist any more; give its new location with --scan"):
         continue_run(here / "other", "coverage", {})

@@ -49,7 +49,7 @@ def test_nothing_is_written_where_nothing_is(tmp_path: Path) -> None:
     assert cached(found) == dict.fromkeys(
         ("adjust", "fuse", "clean", "refine", "upright", "simplify", "export", "report"), False
     )
-    assert [one.reason for one in found.stages] == ["first run"] * 7
+    assert [one.reason for one in found.stages] == ["first run"] * 8
     assert {one.estimate.basis for one in found.stages if one.estimate} == {"estimated"}
     assert found.seconds > 0
     assert found.memory_bytes > BASE_BYTES
@@ -74,10 +74,11 @@ def test_what_is_foreseen_is_what_the_run_does(tmp_path: Path) -> None:
             {
                 "fuse": "params changed: voxel_size 0.04 → 0.05",
                 "clean": "follows fuse, which runs",
-                "simplify": "params changed: ratio 0.4 → 0.3; follows clean, which runs",
+                "refine": "follows clean, which runs",
+                "simplify": "params changed: ratio 0.4 → 0.3; follows refine, which runs",
                 "upright": "follows fuse, clean, which run",
                 "export": "follows simplify, upright, which run",
-                "report": "params changed: report.width 64 → 65; follows fuse, clean, simplify, which run",
+                "report": "params changed: report.width 64 → 65; follows fuse, refine, simplify, which run",
             },
         ),
     ):
@@ -104,7 +105,7 @@ def test_what_is_forced_damaged_or_in_the_way_is_foreseen(tmp_path: Path) -> Non
     before = traces(tmp_path)
     found = predict_run(SCAN, out, config())
     assert traces(tmp_path) == before
-    assert [one.cached for one in found.stages] == [True, True, False, False, False, False, False]
+    assert [one.cached for one in found.stages] == [True, True, False, False, False, False, False, False]
     assert found.stages[2].reason.startswith("cached result damaged: clean.ply")
     assert found.refusal_reason is not None
     assert found.refusal_reason.startswith(f"{out / 'simplified.ply'}: this file was not written by a run")

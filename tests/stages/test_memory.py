@@ -22,6 +22,7 @@ from tests.made.short_of_memory import DONE, MEMORY
 SIDES = {
     "compute_side_lengths": 500,
     "compute_spatial_order": 400,
+    "smooth_boundaries": 400,
     "find_intersecting_triangles": 120,
     "weld_sheets": 400,
     "choose_color_weight": 120,
@@ -61,7 +62,7 @@ SIDES = {
 }
 # A kernel that goes another way for some of what it takes: a base mesh without levels is rounded. And a field
 # that grows from call to call, and a mesh that is made ready and drawn.
-OTHER_WAYS = {"remesh_alone": 60, "integrate": 700, "render_zbuffer": 100}
+OTHER_WAYS = {"remesh_alone": 60, "refine_surface": 150, "integrate": 700, "render_zbuffer": 100}
 # Takes nothing.
 NONE = {"release_free_memory"}
 

@@ -74,7 +74,7 @@ impl SurfaceRefiner {
             let depth = image_pixels(&depth, &camera)?.to_vec();
             let (constant, quadratic) = noise;
             let noise = DepthNoiseModel { typical: 1.0, constant, quadratic };
-            self.run(py, |refiner| {
+            self.run_detached(py, |refiner| {
                 refiner.observe(DepthFrame { camera: &camera, depth: &depth, noise, reach: 0.0 });
             })
         })
@@ -97,10 +97,8 @@ impl SurfaceRefiner {
 
     /// Return the mesh and the values of its vertices. The refiner cannot be used any more.
     fn finish(&self, py: Python<'_>) -> PyResult<(MeshArrays, VertexArrays)> {
-        let refiner = self.lock().take().ok_or_else(finished)?;
-        let found = refiner.finish();
-        let count = found.points.len();
-        with_memory_reserve(count, || {
+        with_memory_reserve(self.row_count(), || {
+            let found = self.lock().take().ok_or_else(finished)?.finish();
             let ends: Vec<u32> = found.created.iter().flat_map(|one| one.ends).collect();
             let labels = found.labels.iter().map(|&label| if label == NO_PLANE { -1 } else { label as i32 });
             Ok((
@@ -158,6 +156,10 @@ impl SurfaceRefiner {
     }
 
     fn run(&self, py: Python<'_>, work: impl FnOnce(&mut Refiner) + Send) -> PyResult<()> {
+        with_memory_reserve(self.row_count(), || self.run_detached(py, work))
+    }
+
+    fn run_detached(&self, py: Python<'_>, work: impl FnOnce(&mut Refiner) + Send) -> PyResult<()> {
         run_detached(py, None, false, |_| {
             match self.lock().as_mut() {
                 Some(refiner) => work(refiner),
@@ -166,6 +168,10 @@ impl SurfaceRefiner {
             Ok::<_, KernelError>(Ok(()))
         })?
         .map_err(|()| finished())
+    }
+
+    fn row_count(&self) -> usize {
+        self.lock().as_ref().map_or(0, Refiner::row_count)
     }
 }
 

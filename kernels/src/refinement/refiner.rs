@@ -136,6 +136,11 @@ impl Refiner {
         Ok(refiner)
     }
 
+    /// Return the number of vertices plus triangles.
+    pub fn row_count(&self) -> usize {
+        self.points.len() + self.connectivity.triangle_slots()
+    }
+
     /// Compare the current surface with a frame.
     pub fn observe(&mut self, frame: DepthFrame<'_>) {
         let frame = DepthFrame { reach: REACH_EDGES * self.mean_edge, ..frame };
