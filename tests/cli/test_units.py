@@ -72,7 +72,7 @@ def test_run_says_units_and_then_metres(scanloom: Run, unit_scan: Path, tmp_path
     assert report["stages"]["fuse"]["metrics"]["voxel_size_m"] == pytest.approx(before / 2, rel=0.1)
     # A unit that is a metre leaves results as they were made.
     _, _, report = lines("--set", "scan.scale=1")
-    assert [one["cached"] for name, one in report["stages"].items() if name != "upright"] == [True] * 4
+    assert [one["cached"] for name, one in report["stages"].items() if name != "upright"] == [True] * 5
 
 
 def test_an_option_that_is_no_scale_is_named_as_it_was_typed(scanloom: Run, unit_scan: Path) -> None:
