@@ -31,6 +31,7 @@ __all__ = [
     "SimplificationResult",
     "SnmError",
     "SurfacePoints",
+    "SurfaceRefiner",
     "TexturedSurface",
     "View",
     "Volume",
@@ -72,6 +73,7 @@ __all__ = [
     "simplify_certified",
     "simplify_planar",
     "simplify_seams",
+    "smooth_boundaries",
     "sweep_planes",
     "weld_sheets",
 ]
