@@ -1,4 +1,4 @@
-"""Shape of scanned surfaces before and after refinement, beside Open3D's fusion and a plain filter.
+"""Shape of scanned surfaces before and after refinement, next to Open3D's fusion and a fixed filter.
 
     python benches/shape.py SCAN [SCAN ...] [--truth MESH] [--similarity] [--bounds 0.001 0.005]
 

@@ -60,8 +60,8 @@ class TruthErrors:
     Attributes
     ----------
     mean_m, rms_m, p95_m : distance from the surface to the truth, metres.
-    normal_median_deg, normal_p90_deg : angle to the normal of the closest point of the truth, without sign.
-    sharp_rms_m : RMS distance within 1 cm of sharp edges and borders of the truth; NaN if there are none.
+    normal_median_deg, normal_p90_deg : unsigned angle to the normal of the closest point of the truth.
+    sharp_rms_m : RMS distance within 1 cm of sharp edges and borders of the truth; NaN without such edges.
     """
 
     mean_m: float

@@ -66,7 +66,7 @@ def _add_command(program: typer.Typer, words: tuple[str, ...]) -> None:
 
 
 def _first_command(arguments: Sequence[str]) -> str:
-    """Return the command or group that the arguments begin with; "" if there is none."""
+    """Return the command or group that the arguments begin with; "" for none."""
     first = arguments[0] if arguments else ""
     return first if any(first in names for names in COMMANDS.values()) else ""
 

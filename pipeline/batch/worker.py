@@ -55,8 +55,8 @@ class Worker:
     slots : number of concurrent jobs.
     threads : threads per job.
     memory : bytes for all jobs together; None if unknown.
-    is_limit : True if `memory` is a limit that ends jobs; False if it only bounds how many jobs run
-        concurrently.
+    is_limit : True if jobs above `memory` are ended; False if `memory` only bounds the number of
+        concurrent jobs.
     disk : bytes that all jobs may write in total; None for no limit.
     take_over_after : seconds of silence after which a worker is presumed dead; None for the setting of the
         queue.

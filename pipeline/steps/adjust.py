@@ -50,7 +50,7 @@ def _run(inputs: AdjustInputs, params: AdjustParams, context: Context) -> Mappin
         require_poses(scan)
     is_measured = isinstance(inputs.frames, Scan)
     if not is_measured and params.depth is None:
-        # Errors of depth computed from stereo pairs are not those of a depth sensor.
+        # The correction models the errors of a depth sensor. Depth from stereo pairs has other errors.
         params = replace(params, depth=False)
     # Poses of `register` come from the same depth, so they do not fix its scale.
     has_metric_poses = inputs.poses is None and is_measured

@@ -22,7 +22,12 @@ from scanloom.stages.adjusting.cameras import (
 )
 from scanloom.stages.adjusting.codes import ADJUST_IMAGES_MISMATCH
 from scanloom.stages.adjusting.color_camera_prior import SilhouettePrior, create_silhouette_prior
-from scanloom.stages.adjusting.depth_calibration import DepthAgreement, estimate_pose_scale
+from scanloom.stages.adjusting.final_depth_correction import (
+    correct_depth,
+    describe_depth_correction,
+    finish_depth_correction,
+    may_fit_depth,
+)
 from scanloom.stages.adjusting.key_frames import select_key_frames
 from scanloom.stages.adjusting.matching import match_views
 from scanloom.stages.adjusting.problem import FreeParameters
@@ -48,7 +53,6 @@ from scanloom.stages.diagnostics.collector import collecting, emit
 from scanloom.stages.params import check_parameters, param, resolve
 from scanloom.stages.printing import format_count
 from scanloom.stages.progress import Progress, ignore_progress
-from scanloom.stages.scans.model.depth_correction import DepthCorrection
 from scanloom.stages.scans.model.prefetch import get_worker_count, map_ordered
 from scanloom.stages.scans.model.scan import Frame, Scan, SkippedFrame
 
@@ -310,7 +314,7 @@ def _adjust_frames(
         prior,
         camera,
         params.shutter,
-        _may_fit_depth(frames, params),
+        may_fit_depth(frames, params.depth),
         lambda cameras: _constrain_camera_by_silhouettes(prepared, key_views[0], cameras),
         lambda: steps.advance(1),
     )
@@ -330,13 +334,13 @@ def _adjust_frames(
         steps.finish()
         _report_mismatch(implausible_reason)
         return _create_rejected_result(prepared, implausible_reason, skipped, before, after)
-    corrected_views, cameras, correction = _finish_depth_correction(
+    corrected_views, cameras, correction = finish_depth_correction(
         bundle_result, frames[keys[0]], start if has_metric_poses else None
     )
     bundle_result = replace(bundle_result, cameras=cameras)
     if correction is not None:
         views = dict(zip(keys, corrected_views, strict=True))
-        frames = tuple(_correct_depth(frame, correction) for frame in frames)
+        frames = tuple(correct_depth(frame, correction) for frame in frames)
     found_poses = {
         place: LocalisedFrame(pose, turn)
         for place, pose, turn, count in zip(
@@ -365,8 +369,9 @@ def _adjust_frames(
         frames=tuple(result),
         adjusted_indices=tuple(sorted(found_poses)),
         accepted=True,
-        reason=f"{_name_adjusted_parts(prepared, bundle_result)} adjusted: "
-        f"{reason}{_describe_depth(correction, bundle_result.depth_agreement)}{_describe_skipped(skipped)}",
+        reason=f"{_name_adjusted_parts(prepared, bundle_result)} adjusted: {reason}"
+        + describe_depth_correction(correction, bundle_result.depth_agreement)
+        + _describe_skipped(skipped),
         is_camera_adjusted=has_camera,
         is_shutter_adjusted=bundle_result.is_shutter_adjusted,
         offset_before=prepared.offset,
@@ -386,64 +391,6 @@ def _adjust_frames(
         depth_agreement=bundle_result.depth_agreement,
         seconds=time.perf_counter() - prepared.start,
     )
-
-
-def _may_fit_depth(frames: Sequence[Frame], params: AdjustParams) -> bool | None:
-    """Return whether to fit a depth correction; False if frames have one, or depth cameras differ."""
-    with_depth = [frame for frame in frames if frame.depth is not None]
-    is_plain = all(
-        frame.depth_correction is None and frame.camera == with_depth[0].camera for frame in with_depth
-    )
-    return params.depth if is_plain else False
-
-
-def _finish_depth_correction(
-    bundle_result: BundleResult, frame: Frame, given: Cameras | None
-) -> tuple[Sequence[AdjustmentView], Cameras, DepthCorrection | None]:
-    """Scale corrected depth and poses to the given poses.
-
-    Parameters
-    ----------
-    frame : frame with the depth camera.
-    given : cameras with given poses that fix the scale; None without such poses.
-
-    Returns
-    -------
-    Views, cameras, and the correction for stored depth maps; the correction is None if depth stays as given.
-    """
-    views, cameras = bundle_result.views, bundle_result.cameras
-    correction = views[0].depth_correction
-    if correction is None:
-        return views, cameras, None
-    centres = cameras.poses[:, :3, 3]
-    scale = None if given is None else estimate_pose_scale(given.poses[:, :3, 3], centres)
-    if scale is not None:
-        correction = correction.scale_depth(scale)
-        middle = centres.mean(axis=0)
-        poses, color_from_depth = cameras.poses.copy(), cameras.color_from_depth.copy()
-        poses[:, :3, 3] = middle + scale * (centres - middle)
-        if bundle_result.is_camera_adjusted:
-            color_from_depth[:, :3, 3] *= scale
-        cameras = replace(cameras, poses=poses, color_from_depth=color_from_depth)
-        views = [replace(view, depth_correction=correction) for view in views]
-    return views, cameras, replace(correction, width=frame.camera.width, height=frame.camera.height)
-
-
-def _describe_depth(correction: DepthCorrection | None, agreement: DepthAgreement | None) -> str:
-    """Format a clause about the depth correction; empty if no correction was fitted."""
-    if agreement is None:
-        return ""
-    if correction is None:
-        return "; depth left as given: a correction does not make frames agree clearly better"
-    low, high = correction.compute_range_percent()
-    return (
-        f"; depth is corrected by {low:.1f} to {high:.1f} %, and overlapping frames agree to "
-        f"{agreement.after_mm:.1f} mm instead of {agreement.before_mm:.1f} mm"
-    )
-
-
-def _correct_depth(frame: Frame, correction: DepthCorrection) -> Frame:
-    return frame if frame.depth is None else replace(frame, depth_correction=correction)
 
 
 def _constrain_camera_by_silhouettes(

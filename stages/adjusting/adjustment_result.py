@@ -41,7 +41,7 @@ class Adjustment:
     ----------
     frames : all frames, in order. Adjusted frames have a new `world_from_camera`, and a `shutter_turn` if
         `is_shutter_adjusted`. If `is_camera_adjusted`, frames with colour, depth and a pose have a new
-        `get_color_camera` and `read_color_from_depth`.
+        `color_camera` and `color_from_depth`.
     adjusted_indices : indices of the frames whose poses were adjusted.
     accepted : the result is better and is used; otherwise `frames` are the given frames.
     reason : reason for the decision, a sentence.

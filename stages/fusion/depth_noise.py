@@ -41,19 +41,8 @@ def measure_depth_noise(frames: Sequence[Frame], folder: Path | None = None) -> 
 def estimate_depth_noise(frames: Sequence[Frame], folder: Path | None = None) -> float:
     """Estimate the depth noise at the median depth.
 
-    The noise is the standard deviation of a frame's depth along the surface normal, in metres. The estimate
-    compares neighbouring frames where they observe the same surface, so pose errors are included. The result
-    is 0 if too few points overlap.
-
-    Parameters
-    ----------
-    frames : with depth and poses; only a sample is read.
-    folder : folder of the scan, for messages.
-
-    Raises
-    ------
-    InputError
-        If no sampled frame can be used.
+    The noise is the standard deviation of a frame's depth along the surface normal, in metres. The result is
+    0 if too few points overlap. Parameters and errors as in `measure_depth_noise`.
     """
     found = measure_depth_noise(frames, folder)
     return found.noise.compute_deviation(found.median_depth)

@@ -34,10 +34,10 @@ class CapMesh:
 
     Attributes
     ----------
-    points : (n, 3) vertices of the mesh, then those of the caps, metres.
+    points : (n, 3) vertices of the mesh, then vertices of the caps, metres.
     triangles : (m, 3) triangles of the caps.
     patches : (m,) patch of each triangle. Patches meet at rims and creases.
-    fixed_count : number of first vertices that stay: those of the mesh, and of creases.
+    fixed_count : number of leading vertices that stay: vertices of the mesh, and of creases.
     """
 
     points: Floats

@@ -60,6 +60,7 @@ _MAX_BOUNDARY_MOVE = 0.5
 
 Floats = NDArray[np.float64]
 
+_NOT_MEASURED = "no frame has measured this mesh; it may be in other coordinates than the poses"
 _NO_NOISE = "the frames do not overlap enough to measure the noise of their depth"
 
 
@@ -215,6 +216,8 @@ def _refine(
         refiner.flatten()
     (vertices, triangles, sources, ends, shares), values = refiner.finish()
     moves, deviations, frontal_counts, plane_ids, plane_count = values
+    if not frontal_counts.any():
+        return replace(_keep_mesh(mesh, _NOT_MEASURED), skipped=tuple(depth_frames.skipped.values()))
     colors = None if mesh.colors is None else _interpolate_colors(mesh.colors, sources, ends, shares)
     is_flap = mask_flaps(triangles, frontal_counts > 0)
     kept = clean(

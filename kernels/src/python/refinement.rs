@@ -75,7 +75,7 @@ impl SurfaceRefiner {
             let (constant, quadratic) = noise;
             let noise = DepthNoiseModel { typical: 1.0, constant, quadratic };
             self.run_detached(py, |refiner| {
-                refiner.observe(DepthFrame { camera: &camera, depth: &depth, noise, reach: 0.0 });
+                refiner.observe(DepthFrame { camera: &camera, depth: &depth, noise });
             })
         })
     }

@@ -95,7 +95,8 @@ pub fn snap_to_planes(
         .collect();
     let crossing = find_crossing_edges(connectivity, labels, &creases);
     let sides = find_sides(connectivity, planes, labels, &snapped, &crossing);
-    keep_to_sides(connectivity, planes, labels, &sides, &crossing, &mut snapped);
+    let may_reach = |v: usize, to: &Vec3| distance2(to, &origins[v]) <= max_moves[v] * max_moves[v];
+    keep_to_sides(connectivity, planes, labels, &sides, &crossing, may_reach, &mut snapped);
     let corners = find_corners(connectivity, planes, labels, &snapped);
     let mut created = vec![];
     for edge in crossing {
@@ -237,13 +238,14 @@ fn find_sides(
     sides
 }
 
-/// Move vertices that are beyond the crease, or nearly on it, back to their own side.
+/// Move vertices that are beyond the crease, or nearly on it, back to their own side, if they may move so far.
 fn keep_to_sides(
     connectivity: &Connectivity,
     planes: &[Plane],
     labels: &[u32],
     sides: &BTreeMap<(u32, u32), f64>,
     crossing: &[EdgeId],
+    may_reach: impl Fn(usize, &Vec3) -> bool,
     points: &mut [Vec3],
 ) {
     for &edge in crossing {
@@ -259,7 +261,10 @@ fn keep_to_sides(
             let least = MIN_DISTANCE_RATIO * length;
             if distance < least && least - distance < 0.5 * length {
                 let step = side * (least - distance) / sine;
-                points[own] = add_scaled(&points[own], step, &inward);
+                let moved = add_scaled(&points[own], step, &inward);
+                if may_reach(own, &moved) {
+                    points[own] = moved;
+                }
             }
         }
     }

@@ -1,5 +1,5 @@
 //! Comparison of a mesh with the depth maps it was fused from: for each vertex the mean distance of the
-//! measurements from the surface, and its standard deviation.
+//! measurements from the surface, and their number.
 //!
 //! Fusion interpolates between voxels and averages on both sides of a curved surface, so that its surface lies
 //! a little inside of convex shapes. The depth maps have no such bias.
@@ -12,8 +12,8 @@ use crate::fusion::frame_view::{DepthNoiseModel, FusionCamera};
 /// position along the normal.
 const MIN_COSINE: f64 = 0.05;
 
-/// Minimum cosine of a frontal measurement. Seen along a surface, it cannot be told from the flaps that sensors
-/// put between the near and the far side of a depth discontinuity.
+/// Minimum cosine of a frontal measurement. Surface that is only seen edge-on may be a flap: sensors put false
+/// depth between the near and the far side of a depth discontinuity.
 const MIN_FRONTAL_COSINE: f64 = 0.2;
 
 /// Measurements farther from the surface than this many standard deviations belong to another surface.
@@ -26,10 +26,9 @@ pub struct Observation {
     pub weight: f64,
     /// Weighted sum of the signed distances from the vertex, along its normal.
     pub distance: f64,
-    /// Weighted sum of the squared distances.
-    pub distance2: f64,
-    /// Number of frames in these sums, and those of them that saw the surface from the front.
+    /// Number of frames in these sums.
     pub frames: u32,
+    /// Number of frames that measured the surface from the front.
     pub frontal: u32,
 }
 
@@ -40,24 +39,30 @@ pub struct DepthFrame<'a> {
     /// Depth in metres row by row, not positive where missing.
     pub depth: &'a [f32],
     pub noise: DepthNoiseModel,
-    /// Distance from the surface, in metres, up to which a measurement may belong to it whatever the noise.
-    pub reach: f64,
 }
 
-/// Add the measurements of a frame to the observations of each vertex.
+/// Add the measurements of a frame to the observations of each vertex. Measurements up to `reach` metres from the
+/// surface may belong to it whatever the noise.
 pub fn observe(
     frame: DepthFrame<'_>,
+    reach: f64,
     points: &[Vec3],
     normals: &[Vec3],
     observations: &mut [Observation],
     threads: usize,
 ) {
     update(observations, threads, |v, observation| {
-        add_measurement(frame, &points[v], &normals[v], observation);
+        add_measurement(frame, reach, &points[v], &normals[v], observation);
     });
 }
 
-fn add_measurement(frame: DepthFrame<'_>, point: &Vec3, normal: &Vec3, observation: &mut Observation) {
+fn add_measurement(
+    frame: DepthFrame<'_>,
+    reach: f64,
+    point: &Vec3,
+    normal: &Vec3,
+    observation: &mut Observation,
+) {
     let camera = frame.camera;
     let row = |i: usize| {
         let own = &camera.inverse[i];
@@ -76,12 +81,11 @@ fn add_measurement(frame: DepthFrame<'_>, point: &Vec3, normal: &Vec3, observati
     let noise = f64::from(frame.noise.constant) + f64::from(frame.noise.quadratic) * z * z;
     // The measured point is on the ray through the vertex.
     let distance = (measured / z - 1.0) * along;
-    let limit = (MAX_DEVIATIONS * noise).max(frame.reach);
+    let limit = (MAX_DEVIATIONS * noise).max(reach);
     if cosine > MIN_COSINE && distance.abs() < limit {
         let weight = cosine / (noise * noise);
         observation.weight += weight;
         observation.distance += weight * distance;
-        observation.distance2 += weight * distance * distance;
         observation.frames += 1;
         observation.frontal += u32::from(cosine > MIN_FRONTAL_COSINE);
     }

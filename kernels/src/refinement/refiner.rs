@@ -143,8 +143,8 @@ impl Refiner {
 
     /// Compare the current surface with a frame.
     pub fn observe(&mut self, frame: DepthFrame<'_>) {
-        let frame = DepthFrame { reach: REACH_EDGES * self.mean_edge, ..frame };
-        observe(frame, &self.points, &self.normals, &mut self.observations, self.threads);
+        let reach = REACH_EDGES * self.mean_edge;
+        observe(frame, reach, &self.points, &self.normals, &mut self.observations, self.threads);
     }
 
     /// Measure the deviation of each vertex from the observations, and filter the surface.

@@ -20,6 +20,8 @@ use scanloom_kernels::refinement::short_edges::collapse_short_edges;
 
 const SPACING: f64 = 0.005;
 const NOISE: f64 = 0.0004;
+const REACH: f64 = 0.01;
+const MAX_MOVE: f64 = 0.004;
 
 /// Pseudo-random number from −1 to 1.
 fn signed(noise: &mut Noise) -> f64 {
@@ -61,14 +63,39 @@ fn limits(angle: f64, deviations: f64) -> PlaneLimits {
     }
 }
 
-/// Filtered positions, filtered normals, vertex normals and areas.
-fn filtered(connectivity: &Connectivity, points: &[Vec3]) -> (Vec<Vec3>, Vec<Vec3>, Vec<Vec3>, Vec<f64>) {
-    let chords = vec![0.5; connectivity.triangle_slots()];
-    let normals = filter_normals(connectivity, points, &chords, 15, 1);
-    let moved = fit_vertices(connectivity, points, &normals, &vec![0.004; points.len()], 15, 1);
-    let weighted = area_normals(connectivity, &moved, 1);
-    let areas = weighted.iter().map(|n| 0.5 * norm2(n).sqrt()).collect();
-    (moved, normals, vertex_normals(connectivity, &weighted, 1), areas)
+/// Filtered sheet.
+struct FilteredSheet {
+    points: Vec<Vec3>,
+    normals: Vec<Vec3>,
+    vertex_normals: Vec<Vec3>,
+    areas: Vec<f64>,
+    deviations: Vec<f64>,
+}
+
+impl FilteredSheet {
+    fn new(connectivity: &Connectivity, points: &[Vec3]) -> Self {
+        let chords = vec![0.5; connectivity.triangle_slots()];
+        let normals = filter_normals(connectivity, points, &chords, 15, 1);
+        let moved = fit_vertices(connectivity, points, &normals, &vec![MAX_MOVE; points.len()], 15, 1);
+        let weighted = area_normals(connectivity, &moved, 1);
+        Self {
+            points: moved,
+            normals,
+            vertex_normals: vertex_normals(connectivity, &weighted, 1),
+            areas: weighted.iter().map(|n| 0.5 * norm2(n).sqrt()).collect(),
+            deviations: vec![NOISE; points.len()],
+        }
+    }
+
+    fn surface<'a>(&'a self, connectivity: &'a Connectivity) -> FilteredSurface<'a> {
+        FilteredSurface {
+            connectivity,
+            points: &self.points,
+            normals: &self.normals,
+            areas: &self.areas,
+            deviations: &self.deviations,
+        }
+    }
 }
 
 #[test]
@@ -76,21 +103,18 @@ fn a_noisy_fold_becomes_two_planes_with_a_straight_crease() {
     let side = 50;
     let points = folded_sheet(side);
     let mut connectivity = Connectivity::from_triangles(points.len(), &grid(side)).unwrap();
-    let (moved, normals, at_vertices, areas) = filtered(&connectivity, &points);
-    let deviations = vec![NOISE; points.len()];
-    let surface = FilteredSurface {
-        connectivity: &connectivity,
-        points: &moved,
-        normals: &normals,
-        areas: &areas,
-        deviations: &deviations,
-    };
+    let sheet = FilteredSheet::new(&connectivity, &points);
+    let surface = sheet.surface(&connectivity);
     let (planes, of_triangles) = grow_planes(&surface, &limits(5.0, 4.0), 1);
     assert_eq!(planes.len(), 2);
-    let labels = label_vertices(&surface, &planes, &of_triangles, &at_vertices, &limits(60.0, 6.0), 4, 1);
+    let labels =
+        label_vertices(&surface, &planes, &of_triangles, &sheet.vertex_normals, &limits(60.0, 6.0), 4, 1);
     assert!(labels.iter().all(|&label| label < 2));
-    let max_moves = vec![0.01; points.len()];
-    let result = snap_to_planes(&mut connectivity, &points, &moved, &planes, &labels, &max_moves);
+    let max_moves = vec![MAX_MOVE; points.len()];
+    let result = snap_to_planes(&mut connectivity, &points, &sheet.points, &planes, &labels, &max_moves);
+    for (p, q) in points.iter().zip(&result.points) {
+        assert!(distance2(p, q).sqrt() <= MAX_MOVE + 1e-12);
+    }
     assert!(connectivity.validate().is_ok());
     assert!(result.created.len() >= side);
     let height = |plane: &Plane, v: usize| plane.height(&result.points[v]).abs();
@@ -120,16 +144,8 @@ fn a_ball_has_no_planes() {
         })
         .collect();
     let connectivity = Connectivity::from_triangles(points.len(), &grid(side)).unwrap();
-    let (moved, normals, _, areas) = filtered(&connectivity, &points);
-    let deviations = vec![NOISE; points.len()];
-    let surface = FilteredSurface {
-        connectivity: &connectivity,
-        points: &moved,
-        normals: &normals,
-        areas: &areas,
-        deviations: &deviations,
-    };
-    assert!(grow_planes(&surface, &limits(5.0, 4.0), 1).0.is_empty());
+    let sheet = FilteredSheet::new(&connectivity, &points);
+    assert!(grow_planes(&sheet.surface(&connectivity), &limits(5.0, 4.0), 1).0.is_empty());
 }
 
 #[test]
@@ -137,7 +153,7 @@ fn filtering_keeps_the_fold_and_removes_the_noise() {
     let side = 40;
     let points = folded_sheet(side);
     let connectivity = Connectivity::from_triangles(points.len(), &grid(side)).unwrap();
-    let (moved, normals, ..) = filtered(&connectivity, &points);
+    let FilteredSheet { points: moved, normals, .. } = FilteredSheet::new(&connectivity, &points);
     let off = |points: &[Vec3]| {
         let distances = points.iter().map(|p| p[0].abs().min(p[2].abs()).powi(2));
         (distances.sum::<f64>() / points.len() as f64).sqrt()
@@ -147,7 +163,7 @@ fn filtering_keeps_the_fold_and_removes_the_noise() {
     let tilted = normals.iter().filter(|n| n[0].abs().max(n[2].abs()) < 3f64.to_radians().cos()).count();
     assert!(tilted < normals.len() / 20, "{tilted} of {}", normals.len());
     for (p, q) in points.iter().zip(&moved) {
-        assert!(distance2(p, q).sqrt() <= 0.004 + 1e-12);
+        assert!(distance2(p, q).sqrt() <= MAX_MOVE + 1e-12);
     }
 }
 
@@ -224,7 +240,7 @@ fn camera() -> FusionCamera {
 
 fn frame<'a>(camera: &'a FusionCamera, depth: &'a [f32]) -> DepthFrame<'a> {
     let noise = DepthNoiseModel { typical: 1.0, constant: 0.001, quadratic: 0.0 };
-    DepthFrame { camera, depth, noise, reach: 0.01 }
+    DepthFrame { camera, depth, noise }
 }
 
 #[test]
@@ -233,7 +249,7 @@ fn observations_measure_the_distance_along_the_normal() {
     let points = [[0.1, -0.05, 0.998], [0.0, 0.0, 1.003], [0.0, 0.0, 0.9], [0.0, 0.0, 1.1], [9.0, 0.0, 1.0]];
     let normals = [[0.0, 0.0, -1.0]; 5];
     let mut found = [Observation::default(); 5];
-    observe(frame(&camera, &depth), &points, &normals, &mut found, 1);
+    observe(frame(&camera, &depth), REACH, &points, &normals, &mut found, 1);
     for (one, expected) in found.iter().zip([-0.002, 0.003]) {
         assert_eq!((one.frames, one.frontal), (1, 1));
         assert!((one.distance / one.weight - expected).abs() < 1e-6);
@@ -243,12 +259,12 @@ fn observations_measure_the_distance_along_the_normal() {
     assert!(found[2..].iter().all(|one| counts(one) == (0, 0)), "in front of the wall, hidden, outside");
     // The back of the surface is not measured.
     let mut back = [Observation::default()];
-    observe(frame(&camera, &depth), &points[..1], &[[0.0, 0.0, 1.0]], &mut back, 1);
+    observe(frame(&camera, &depth), REACH, &points[..1], &[[0.0, 0.0, 1.0]], &mut back, 1);
     assert_eq!(counts(&back[0]), (0, 0));
     // Seen along the surface.
     let mut along = [Observation::default()];
     let steep = normalize(&[1.0, 0.0, -0.15]);
-    observe(frame(&camera, &depth), &[[0.0, 0.0, 1.0]], &[steep], &mut along, 1);
+    observe(frame(&camera, &depth), REACH, &[[0.0, 0.0, 1.0]], &[steep], &mut along, 1);
     assert_eq!(counts(&along[0]), (1, 0));
 }
 

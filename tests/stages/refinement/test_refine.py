@@ -141,6 +141,12 @@ def test_a_single_frame_leaves_the_mesh_as_it_is(fused: Mesh, scan: Scan) -> Non
     assert not kept.diagnostics
 
 
+def test_a_mesh_in_other_coordinates_stays_as_it_is(fused: Mesh, scan: Scan) -> None:
+    kept = refine(fused.with_(vertices=fused.vertices + np.array((10.0, 0, 0))), scan)
+    assert np.array_equal(kept.mesh.triangles, fused.triangles)
+    assert "no frame has measured this mesh" in kept.reason
+
+
 def test_frames_without_depth_are_refused(fused: Mesh, scan: Scan) -> None:
     with pytest.raises(InputError, match="no frame has a depth map"):
         refine(fused, [replace(frame, depth=None) for frame in scan.frames])
