@@ -505,14 +505,14 @@ class SurfaceRefiner:
             NDArray[np.uint32],
             NDArray[np.float64],
         ],
-        tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.uint32], NDArray[np.int32], int],
+        tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.int32], int],
     ]:
         """Return the mesh and the values of its vertices.
 
         The mesh: vertices (n, 3), triangles (m, 3), input vertex of the first n − k vertices, and the ends
         (k, 2) and shares (k,) of the others, which were split off edges. The values (n,): moves and
-        deviations in metres, number of frames that measured the vertex from the front, and its plane,
-        −1 for none; then the number of planes.
+        deviations in metres, largest cosine of the angle between normal and line of sight, 0 if no frame
+        measured the vertex, and its plane, −1 for none; then the number of planes.
         """
 
 def smooth_boundaries(

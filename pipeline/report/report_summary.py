@@ -80,7 +80,9 @@ def make_deviation_tables(
     """
     unit_factor, small, large = (1000, "mm", "m") if is_metric else (1, "units", "units")
     percentiles = deviation["absolute_percentiles_m"]
-    rows = [[f"{p} % are within", f"{unit_factor * d:.4g} {small}"] for p, d in percentiles.items()]
+    rows = [
+        [f"{p} % are within", f"{_format_small(unit_factor * d)} {small}"] for p, d in percentiles.items()
+    ]
     farthest = max((abs(one["distance_m"]) for one in deviation["worst"]), default=0.0)
     rows.append(["maximum of samples and vertices", f"{unit_factor * farthest:.4g} {small}"])
     rows.append(["RMS", f"{unit_factor * deviation['rms_m']:.4g} {small}"])
@@ -105,6 +107,11 @@ def make_deviation_tables(
             "places": list(targets),
         },
     ]
+
+
+def _format_small(value: float) -> str:
+    """Format a distance. Below a thousandth it is 0.000: planar parts differ by rounding errors only."""
+    return f"{value:.3f}" if value < 1e-3 else f"{value:.4g}"
 
 
 def get_nested(document: Mapping[str, Any], *names: str, default: Any = None) -> Any:

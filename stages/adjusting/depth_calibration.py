@@ -39,6 +39,9 @@ _MAX_SIGMAS = 3.0
 # Minimum decrease of the mean squared residual of held-out points for an accepted correction: relative, and
 # in standard errors over the views. Without any error of depth, the decrease is below 2 %.
 _MIN_GAIN_RATIO, _MIN_GAIN_SIGMAS = 0.08, 4.0
+# Minimum relative decrease of their median distance. The mean alone can fall at a few places that get worse
+# photos: on a table top at 0.5 m, the median stayed at 2.0 mm and held-out photos lost 0.3 dB.
+_MIN_MEDIAN_GAIN_RATIO = 0.05
 # Minimum number of held-out points and of views with such points.
 _MIN_POINT_COUNT, _MIN_VIEW_COUNT = 200, 4
 # Minimum deviation of a scale from 1 in standard errors, and maximum plausible deviation.
@@ -65,7 +68,11 @@ class DepthAgreement:
     @property
     def is_clear(self) -> bool:
         """Return True if the correction clearly improves the agreement."""
-        return self.gain_ratio > _MIN_GAIN_RATIO and self.gain_sigmas > _MIN_GAIN_SIGMAS
+        return (
+            self.gain_ratio > _MIN_GAIN_RATIO
+            and self.gain_sigmas > _MIN_GAIN_SIGMAS
+            and self.after_mm < (1 - _MIN_MEDIAN_GAIN_RATIO) * self.before_mm
+        )
 
     @property
     def is_promising(self) -> bool:

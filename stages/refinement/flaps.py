@@ -14,20 +14,28 @@ from scanloom.stages.surface.mesh import Triangles
 
 # A region is wide if one of its vertices is more than this many edges from its border.
 _WIDE_RINGS = 8
+# Minimum cosine between normal and line of sight of a measurement from the front. A recording along its
+# surfaces, such as a drive on a street, has few: at most this ratio of the measured vertices is below.
+_MIN_COSINE, _MAX_OBLIQUE_RATIO = 0.2, 0.02
 
 
-def mask_flaps(triangles: Triangles, is_frontal: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def mask_flaps(triangles: Triangles, best_cosines: NDArray[np.float64]) -> NDArray[np.bool_]:
     """Find the triangles of flaps.
 
     Parameters
     ----------
     triangles : (m, 3).
-    is_frontal : (n,) True for vertices that some frame has measured from the front.
+    best_cosines : (n,) largest cosine of the angle between the normal of each vertex and the line of sight of
+        a frame that measured it; 0 without such a frame.
 
     Returns
     -------
     (m,) True for triangles whose corners all belong to a flap.
     """
+    measured = best_cosines[best_cosines > 0]
+    if not len(measured):
+        return np.zeros(len(triangles), bool)
+    is_frontal = best_cosines >= min(_MIN_COSINE, float(np.quantile(measured, _MAX_OBLIQUE_RATIO)))
     edges = build_edges(triangles, len(is_frontal))
     tails, heads = edges.ends.T
     is_oblique = ~is_frontal

@@ -215,11 +215,11 @@ def _refine(
     if params.planes:
         refiner.flatten()
     (vertices, triangles, sources, ends, shares), values = refiner.finish()
-    moves, deviations, frontal_counts, plane_ids, plane_count = values
-    if not frontal_counts.any():
+    moves, deviations, best_cosines, plane_ids, plane_count = values
+    if not best_cosines.any():
         return replace(_keep_mesh(mesh, _NOT_MEASURED), skipped=tuple(depth_frames.skipped.values()))
     colors = None if mesh.colors is None else _interpolate_colors(mesh.colors, sources, ends, shares)
-    is_flap = mask_flaps(triangles, frontal_counts > 0)
+    is_flap = mask_flaps(triangles, best_cosines)
     kept = clean(
         Mesh(vertices, triangles[~is_flap], colors, up=mesh.up), CleanParams(min_island_area=0, stitch=False)
     )

@@ -25,8 +25,8 @@ use crate::refinement::refiner::{Refiner, mean_edge};
 /// the others.
 type MeshArrays =
     (Py<PyArray2<f64>>, Py<PyArray2<i32>>, Py<PyArray1<u32>>, Py<PyArray2<u32>>, Py<PyArray1<f64>>);
-/// Moves, deviations, frontal measurements and planes of the vertices, −1 for no plane; and the number of planes.
-type VertexArrays = (Py<PyArray1<f64>>, Py<PyArray1<f64>>, Py<PyArray1<u32>>, Py<PyArray1<i32>>, usize);
+/// Moves, deviations, best cosines and planes of the vertices, −1 for no plane; and the number of planes.
+type VertexArrays = (Py<PyArray1<f64>>, Py<PyArray1<f64>>, Py<PyArray1<f64>>, Py<PyArray1<i32>>, usize);
 
 /// Mesh under refinement. Show all frames, then `filter`; again, then `correct`, once or more; then `flatten`.
 #[pyclass(frozen, module = "scanloom.stages._kernels")]
@@ -112,7 +112,7 @@ impl SurfaceRefiner {
                 (
                     PyArray1::from_vec(py, found.moves).unbind(),
                     PyArray1::from_vec(py, found.deviations).unbind(),
-                    PyArray1::from_vec(py, found.frontal_counts).unbind(),
+                    PyArray1::from_vec(py, found.best_cosines).unbind(),
                     PyArray1::from_iter(py, labels).unbind(),
                     found.plane_count,
                 ),

@@ -12,10 +12,6 @@ use crate::fusion::frame_view::{DepthNoiseModel, FusionCamera};
 /// position along the normal.
 const MIN_COSINE: f64 = 0.05;
 
-/// Minimum cosine of a frontal measurement. Surface that is only seen edge-on may be a flap: sensors put false
-/// depth between the near and the far side of a depth discontinuity.
-const MIN_FRONTAL_COSINE: f64 = 0.2;
-
 /// Measurements farther from the surface than this many standard deviations belong to another surface.
 const MAX_DEVIATIONS: f64 = 3.0;
 
@@ -28,8 +24,9 @@ pub struct Observation {
     pub distance: f64,
     /// Number of frames in these sums.
     pub frames: u32,
-    /// Number of frames that measured the surface from the front.
-    pub frontal: u32,
+    /// Largest cosine between the normal and the direction to a camera that measured the surface, also at the border of
+    /// measured depth, where the distance is not reliable. 0 without any.
+    pub best_cosine: f64,
 }
 
 /// Depth map of one frame.
@@ -73,39 +70,48 @@ fn add_measurement(
         return;
     }
     let at = [0, 1].map(|i| row(i) / z * camera.focal[i] + camera.centre[i]);
-    let Some(measured) = interpolate_depth(frame, at) else { return };
+    let Some((pixels, offsets)) = read_pixels(frame, at) else { return };
     let centre = [0, 1, 2].map(|i| camera.pose[i][3]);
     let to_point = sub(point, &centre);
     let along = dot(&to_point, normal);
     let cosine = -along / norm2(&to_point).sqrt();
+    if cosine <= MIN_COSINE {
+        return;
+    }
     let noise = f64::from(frame.noise.constant) + f64::from(frame.noise.quadratic) * z * z;
-    // The measured point is on the ray through the vertex.
-    let distance = (measured / z - 1.0) * along;
     let limit = (MAX_DEVIATIONS * noise).max(reach);
-    if cosine > MIN_COSINE && distance.abs() < limit {
+    // Measured points are taken to be on the ray through the vertex.
+    let distance_of = |depth: f64| (depth / z - 1.0) * along;
+    if pixels.iter().all(|&depth| depth > 0.0) {
+        let distance = distance_of(interpolate_depth(pixels, offsets));
+        if distance.abs() >= limit {
+            return;
+        }
         let weight = cosine / (noise * noise);
         observation.weight += weight;
         observation.distance += weight * distance;
         observation.frames += 1;
-        observation.frontal += u32::from(cosine > MIN_FRONTAL_COSINE);
+    } else if !pixels.iter().any(|&depth| depth > 0.0 && distance_of(depth).abs() < limit) {
+        return;
     }
+    observation.best_cosine = observation.best_cosine.max(cosine);
 }
 
-/// Interpolate inverse depth between four pixels, which is exact on planes. None outside the image and where a
-/// pixel is missing, as it is next to every depth discontinuity.
-fn interpolate_depth(frame: DepthFrame<'_>, [u, v]: [f64; 2]) -> Option<f64> {
+/// Read the four pixels around a position, and its offsets from the first of them. None outside the image.
+fn read_pixels(frame: DepthFrame<'_>, [u, v]: [f64; 2]) -> Option<([f64; 4], [f64; 2])> {
     let (width, height) = (frame.camera.width, frame.camera.height);
     if !(u >= 0.0 && v >= 0.0 && u < (width - 1) as f64 && v < (height - 1) as f64) {
         return None;
     }
     let (column, line) = (u as usize, v as usize);
-    let (right, below) = (u - column as f64, v - line as f64);
     let first = line * width + column;
     let pixels = [first, first + 1, first + width, first + width + 1].map(|i| f64::from(frame.depth[i]));
-    if !pixels.iter().all(|&depth| depth > 0.0) {
-        return None;
-    }
+    Some((pixels, [u - column as f64, v - line as f64]))
+}
+
+/// Interpolate inverse depth between four pixels, which is exact on planes.
+fn interpolate_depth(pixels: [f64; 4], [right, below]: [f64; 2]) -> f64 {
     let [a, b, c, d] = pixels.map(|depth| 1.0 / depth);
     let (above, under) = (a + right * (b - a), c + right * (d - c));
-    Some(1.0 / (above + below * (under - above)))
+    1.0 / (above + below * (under - above))
 }

@@ -70,7 +70,7 @@ pub struct Refiner {
     filtered: Vec<Vec3>,
     deviations: Vec<f64>,
     max_moves: Vec<f64>,
-    frontal_counts: Vec<u32>,
+    best_cosines: Vec<f64>,
     labels: Vec<u32>,
     plane_count: usize,
     created: Vec<CreaseVertex>,
@@ -89,8 +89,9 @@ pub struct RefinedMesh {
     pub moves: Vec<f64>,
     /// Standard deviation of each vertex along its normal.
     pub deviations: Vec<f64>,
-    /// Number of frames that measured each vertex from the front.
-    pub frontal_counts: Vec<u32>,
+    /// Largest cosine between the normal of each vertex and the direction to a camera that measured it; 0 without
+    /// any.
+    pub best_cosines: Vec<f64>,
     /// Plane of each vertex; [`NO_PLANE`] for none.
     pub labels: Vec<u32>,
     pub plane_count: usize,
@@ -127,7 +128,7 @@ impl Refiner {
             filtered: vec![],
             deviations: vec![0.0; count],
             max_moves: vec![0.0; count],
-            frontal_counts: vec![0; count],
+            best_cosines: vec![0.0; count],
             labels: vec![NO_PLANE; count],
             plane_count: 0,
             created: vec![],
@@ -185,6 +186,8 @@ impl Refiner {
             let to = add_scaled(&self.points[v], steps[v], &self.normals[v]);
             limit_move(&self.origins[v], to, self.max_moves[v])
         });
+        // The normals of the filtered surface tell from where it was seen; those of the input are too noisy.
+        self.best_cosines = self.observations.iter().map(|one| one.best_cosine).collect();
         self.start_observing();
     }
 
@@ -240,11 +243,11 @@ impl Refiner {
         moves.iter_mut().enumerate().for_each(|(v, step)| {
             *step = distance2(&self.points[v], &self.origins[v]).sqrt();
         });
-        let (mut frontal_counts, mut labels) = (self.frontal_counts, self.labels);
+        let (mut best_cosines, mut labels) = (self.best_cosines, self.labels);
         for one in &self.created {
             let [a, b] = one.ends.map(|v| v as usize);
             deviations.push(deviations[a].max(deviations[b]));
-            frontal_counts.push(frontal_counts[a].max(frontal_counts[b]));
+            best_cosines.push(best_cosines[a].max(best_cosines[b]));
             labels.push(labels[a]);
             moves.push(0.0);
         }
@@ -258,7 +261,7 @@ impl Refiner {
             created: self.created,
             moves,
             deviations,
-            frontal_counts,
+            best_cosines,
             labels,
             plane_count: self.plane_count,
         }
@@ -293,7 +296,6 @@ impl Refiner {
         let within_voxel2 = self.mean_edge * self.mean_edge / 12.0;
         let scale = MAX_MOVE_DEVIATIONS * self.strength;
         self.max_moves = self.deviations.iter().map(|x| scale * (x * x + within_voxel2).sqrt()).collect();
-        self.frontal_counts = self.observations.iter().map(|one| one.frontal).collect();
     }
 }
 
