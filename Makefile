@@ -50,7 +50,9 @@ test: export CARGO_INCREMENTAL = 0
 test: export CARGO_PROFILE_TEST_LTO = off
 test: export CARGO_PROFILE_TEST_CODEGEN_UNITS = 2
 test: export CARGO_PROFILE_TEST_DEBUG = 0
-# The kernels take longest and keep one core busy: they start first, and everything that works without them runs beside.
+# The kernels take longest and keep one core busy: they start first, and everything that works without them runs beside,
+# on what they leave.
+BESIDE := nice
 test:
 	@$(MAKE) --no-print-directory --jobs=3 --output-sync=target \
 	  $(KERNELS) $(DEPENDENCIES) rust-tests clippy mypy ruff browser packages
@@ -113,7 +115,7 @@ ruff: | $(DEPENDENCIES)
 	$(BIN)/ruff format --check .
 
 mypy: $(PACKAGE_LINKS) | $(DEPENDENCIES)
-	$(BIN)/mypy
+	$(BESIDE) $(BIN)/mypy
 
 $(PACKAGE_LINKS):
 	@mkdir -p $(TYPES)
@@ -131,13 +133,13 @@ $(STUBS_FIT): stages/_kernels.pyi $(READY) | $(PACKAGE_LINKS)
 
 clippy: | $(COMPILERS)
 	cd kernels && cargo fmt --check
-	cd kernels && MAKEFLAGS= cargo clippy --locked --quiet --tests --features python -- -D warnings
+	cd kernels && MAKEFLAGS= $(BESIDE) cargo clippy --locked --quiet --tests --features python -- -D warnings
 
 clippy-benches: | $(COMPILERS)
 	cd kernels && MAKEFLAGS= cargo clippy --locked --quiet --benches --features python,bench -- -D warnings
 
 rust-tests: | $(COMPILERS)
-	cd kernels && MAKEFLAGS= cargo test --locked --quiet --lib
+	cd kernels && MAKEFLAGS= $(BESIDE) cargo test --locked --quiet --lib
 
 bench:
 	cd kernels && cargo bench --locked --features bench -- $(BENCH)

@@ -77,6 +77,11 @@ def get_scan_input_name(scan: Scan, config: Sections) -> str:
     return "scan" if depth.needs_depth(scan, config) else "frames"
 
 
+def is_textured(scan: Scan, config: Sections) -> bool:
+    """Return True if the simplified mesh gets a texture, so that its vertex colours do not matter."""
+    return texture.STAGE.skip_reason(scan, config) is None
+
+
 def list_skip_reasons(scan: Scan, config: Sections) -> Mapping[str, str]:
     """Return the skipped stages of a scan with the reasons."""
     reasons = {stage.name: stage.skip_reason(scan, config) for stage in STAGES}
@@ -95,6 +100,8 @@ def plan_stages(scan: Scan, config: Sections) -> Sequence[AnyStage]:
         available.add("network")
     if config.get(texture.TextureSection).images is not None:
         available.add("photos")
+    if is_textured(scan, config):
+        available.add("is_textured")
     plan = []
     for stage in stages:
         reads = [name for name in stage.input_names if name not in stage.ignored_inputs(config)]

@@ -1,6 +1,7 @@
 """Sources of a run: inputs that no stage writes.
 
-These are the scan, labels of its frames, held-out frames, photos and a network.
+These are the scan, labels of its frames, held-out frames, photos, a network, and whether the mesh gets a
+texture.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from scanloom.pipeline.cache.digest import (
     get_content_digest,
 )
 from scanloom.pipeline.config import Config
-from scanloom.pipeline.graph import get_scan_input_name
+from scanloom.pipeline.graph import get_scan_input_name, is_textured
 from scanloom.pipeline.run.engine import StageInput
 from scanloom.stages.diagnostics.codes import MACHINE_BUSY
 from scanloom.stages.diagnostics.errors import StageError
@@ -41,6 +42,8 @@ def load_sources(
         found["held_out"] = _make_source(replace(scan, frames=scan.held_out, held_out=()), ignore_progress)
     if photos is not None:
         found["photos"] = _make_source(photos, progress)
+    if is_textured(scan, config):
+        found["is_textured"] = StageInput(compute_digest({}), True, {})
     if config.depth.model is not None:
         found["network"] = _load_network(Path(config.depth.model))
     return found

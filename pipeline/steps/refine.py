@@ -32,6 +32,9 @@ from scanloom.stages.refinement.refine import refine
 from scanloom.stages.surface.chunked_ply import make_table_path
 from scanloom.stages.surface.formats.ply import write_ply
 
+# Vertex property of the standard deviation.
+DEVIATION = "deviation"
+
 
 @dataclass(frozen=True)
 class RefinedMesh(MeshFile):
@@ -61,7 +64,7 @@ def _run(inputs: RefineInputs, params: RefineParams, context: Context) -> Mappin
     if inputs.clean_mesh.is_large:
         return _copy_large_mesh(inputs.clean_mesh, result)
     refined = refine(inputs.clean_mesh.load(), inputs.load_posed(), params, progress=context.progress)
-    values = {"deviation": refined.deviations, "filled": refined.is_filled.astype(np.float64)}
+    values = {DEVIATION: refined.deviations, "filled": refined.is_filled.astype(np.float64)}
     write_ply(result, refined.mesh, vertex_values=values)
     metrics = refined.to_dict()
     warn_skipped_frames(metrics["frames_skipped"])

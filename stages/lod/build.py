@@ -46,7 +46,7 @@ if TYPE_CHECKING:
     from scanloom.stages.params.keywords import LodKeywords
 
 # Increment when the levels of the same mesh change, to invalidate cache entries.
-RESULT_VERSION = 5
+RESULT_VERSION = 6
 
 # Relative tolerance of proven bounds over measured errors: tighter bounds take longer than building levels.
 _SHAPE_TOLERANCE, _COLOR_TOLERANCE = 0.15, 0.2

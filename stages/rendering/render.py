@@ -50,6 +50,8 @@ _RESTART_OFFSET_RATIO = 1e-5
 _MAX_CULLED = 16
 # Minimum near-to-far depth ratio of a box for its projection. Closer boxes are treated as filling the image.
 _MIN_DEPTH_RATIO = 1e-3
+# A vertex normal farther from that of a triangle (26°) has no effect on it: the vertex is on a crease.
+_MIN_CREASE_COSINE = 0.9
 _TINY = np.finfo(np.float32).tiny
 
 
@@ -179,6 +181,15 @@ class RenderModel:
             hits = self.surface.cast_rays(origin, directions[rays], starts)
             hits = replace(hits, rays=rays[hits.rays])
 
+    def _interpolate_normals(self, hits: RayHits, corners: NDArray[np.int32]) -> _Floats:
+        """Interpolate the normals of the vertices within the smooth parts of the surface."""
+        blended = np.zeros_like(hits.normals)
+        for i in range(3):
+            normals = self._normals.take(corners[:, i], axis=0)
+            is_crease = (_dot(normals, hits.normals) < _MIN_CREASE_COSINE)[:, None]
+            blended += np.where(is_crease, hits.normals, normals) * hits.weights[:, i : i + 1]
+        return _normalize(blended)
+
     def _shade_hits(
         self, hits: RayHits, directions: _Floats, viewpoint: Viewpoint, shading: Shading
     ) -> _Floats:
@@ -188,7 +199,7 @@ class RenderModel:
         is_back_face = _dot(hits.normals, view_directions) > 0
         normals = hits.normals
         if shading != "edges":
-            normals = _normalize(_interpolate(self._normals, corners, hits.weights))
+            normals = self._interpolate_normals(hits, corners)
         normals = np.asarray(np.where(is_back_face[:, None], -normals, normals))
         to_light = np.asarray(viewpoint.world_from_camera[:3, :3] @ _LIGHT, np.float32)
         light = _dot(normals, to_light).clip(0, 1)

@@ -57,9 +57,13 @@ def select_method(params: SimplifyParams, *, has_corner_attributes: bool = False
 
 
 def has_no_goal(params: SimplifyParams) -> bool:
-    """Return True if the parameters specify neither a target nor a method."""
+    """Return True if the parameters specify neither a target nor a method.
+
+    `attribute_scale` only weighs colours against shape.
+    """
     has_goal = params.triangles is not None or params.ratio is not None
-    return params.method == AUTO and not has_goal and not _list_given(params)
+    given = [name for name in _list_given(params) if name != "attribute_scale"]
+    return params.method == AUTO and not has_goal and not given
 
 
 def require_supported(

@@ -35,6 +35,7 @@ from scanloom.stages.simplification.corner_attributes import has_corner_attribut
 from scanloom.stages.simplification.isolated_triangles import report_isolated_degenerates
 from scanloom.stages.simplification.kernel_input import create_texture_warning
 from scanloom.stages.simplification.method_selection import has_no_goal, require_supported, select_method
+from scanloom.stages.simplification.noise_bound import check_deviations, derive_noise_bound
 from scanloom.stages.simplification.params import AUTO, SimplifyParams
 from scanloom.stages.simplification.regions import Region, resolve_vertex_control
 from scanloom.stages.simplification.requirements import report_unmet_requirements
@@ -59,7 +60,7 @@ if TYPE_CHECKING:
 
 __all__ = ["RESULT_VERSION", "SimplificationResult", "SimplifyParams", "simplify"]
 
-RESULT_VERSION = 14
+RESULT_VERSION = 15
 
 
 @overload
@@ -111,6 +112,7 @@ def simplify(
     lock: ArrayLike | None = None,
     importance: ArrayLike | None = None,
     regions: Sequence[Region] = (),
+    deviations: ArrayLike | None = None,
     record: bool = False,
     keep_on_interrupt: bool = False,
     progress: Progress = ignore_progress,
@@ -123,6 +125,7 @@ def simplify(
     lock: ArrayLike | None = None,
     importance: ArrayLike | None = None,
     regions: Sequence[Region] = (),
+    deviations: ArrayLike | None = None,
     record: bool = False,
     keep_on_interrupt: bool = False,
     progress: Progress = ignore_progress,
@@ -149,6 +152,9 @@ def simplify(
     importance : (n,) float above 0, factor on the squared error around each vertex. With proven bounds it
         must be at least 1, and divides them.
     regions : `scanloom.Sphere` and `scanloom.Box`, which lock their vertices or give them importance.
+    deviations : (n,) standard deviation of each vertex in metres, as `refine` measures it. Without a target,
+        each vertex may then move by two standard deviations (`default_max_shape` of the result is the bound
+        for the largest). Ignored with a target or a method.
     record : record all collapses, so that every intermediate mesh can be restored.
     keep_on_interrupt : on Ctrl-C, return the mesh simplified so far instead of raising KeyboardInterrupt.
     progress : called about ten times per second with the numbers of removed triangles and of triangles to
@@ -178,7 +184,15 @@ def simplify(
         control = _Control(
             *resolve_vertex_control(mesh, lock, importance, regions), record, keep_on_interrupt, progress
         )
+        bound = None
+        if deviations is not None and has_no_goal(params):
+            bound, factors = derive_noise_bound(check_deviations(deviations, len(mesh.vertices)))
+            params = resolve(SimplifyParams, params, {"max_shape": bound})
+            own = control.importance if len(control.importance) else 1.0
+            control = replace(control, importance=factors * own)
         found = _simplify_validated(mesh, params, control)
+        if bound is not None:
+            found = replace(found, default_max_shape=bound)
         report_unmet_requirements(params, found.to_dict())
     return replace(found, diagnostics=tuple(diagnostics))
 

@@ -120,6 +120,32 @@ impl<'a, const D: usize> CollapseUndo<'a, D> {
         around
     }
 
+    /// Undo the last collapse of every vertex of the mesh that contains one of these input vertices.
+    pub fn refine(&mut self, vertices: &[u32]) {
+        for root in self.find_roots(vertices) {
+            if let Some(collapse) = self.history.last_collapse_of_vertex(root) {
+                self.undo(collapse);
+            }
+        }
+    }
+
+    /// Lock every vertex of the mesh that contains one of these input vertices.
+    pub fn lock(&self, vertices: &[u32], locked: &mut Vec<bool>) {
+        if vertices.is_empty() {
+            return;
+        }
+        locked.resize(self.original.points.len(), false);
+        self.find_roots(vertices).into_iter().for_each(|root| locked[root as usize] = true);
+    }
+
+    /// Find the vertices of the mesh that contain input vertices, sorted, each once.
+    fn find_roots(&self, vertices: &[u32]) -> Vec<u32> {
+        let mut roots: Vec<u32> = vertices.iter().map(|&v| self.history.root(v)).collect();
+        roots.sort_unstable();
+        roots.dedup();
+        roots
+    }
+
     /// Restore input vertices and lock them.
     pub fn restore_and_lock(&mut self, vertices: &[u32], locked: &mut Vec<bool>) {
         if vertices.is_empty() {

@@ -6,7 +6,7 @@ use super::sample_tracker::{LimitKind, SampleLimits, SampleLists};
 use crate::base::errors::KernelError;
 use crate::base::geometry::position_of;
 use crate::base::progress::Progress;
-use crate::certify::{self, Certificate, Deviation, Surface, Verdict};
+use crate::certify::{self, Certificate, Deviation, Surface};
 use crate::collapse::collapse_log::CollapseSequence;
 use crate::collapse::engine::{Refusal, Stop};
 use crate::collapse::rounds::{Goal, collapse};
@@ -21,8 +21,10 @@ use super::sample_owners::SampleOwners;
 /// Ratio of the bounds that samples may use; the rest is a margin for the points between samples.
 const SAMPLE_RATIO: f64 = 0.9;
 
-/// Factor on the limits of the samples around a failed proof.
+/// Factor on the limits of the samples around a failed proof, and the number of failures up to which it applies:
+/// where it does not help, the samples are not the cause.
 const TIGHTENING_FACTOR: f32 = 0.6;
+const MAX_TIGHTENINGS: u8 = 5;
 
 /// Average number of pieces per triangle that may be spent on undecided triangles.
 const DECISION_EFFORT: f64 = 8.0;
@@ -30,15 +32,18 @@ const DECISION_EFFORT: f64 = 8.0;
 /// Passes before unproven triangles are tested for being provable at all.
 const PASSES_BEFORE_PROVABILITY_CHECK: usize = 6;
 
-/// Failures at a vertex before its surroundings are locked for good. Locked vertices cause failures next to
-/// them, so the neighbours need a few attempts, too.
-const FAILURES_BEFORE_LOCKING: usize = 8;
+/// Failures at a vertex before its surroundings are refined. Each further failure refines them once more, which
+/// doubles their vertices: a large triangle that fails at one place is not restored to the resolution of the
+/// input.
+const FAILURES_BEFORE_REFINING: usize = 8;
+
+/// Refinements before the surroundings are locked, too: without locks, the same collapses may follow forever.
+const REFINEMENTS_BEFORE_LOCKING: usize = 3;
 
 /// Failures at a vertex before the proof there is given up.
 const FAILURES_BEFORE_GIVING_UP: usize = 20;
 
-/// After `IMPATIENCE × PATIENCE` passes, the surroundings of all unproven triangles are locked. After
-/// `IMPATIENCE × END` passes, all remaining proofs are given up.
+/// After this many passes per failure, every unproven triangle counts as having failed as often.
 const MAX_PASSES_PER_FAILURE: usize = 4;
 
 /// Ratio of triangles below which a round stops the collapse loop, so that a proof follows.
@@ -145,29 +150,23 @@ pub fn simplify<const D: usize, const K: usize>(
     let original = InputSurface::new(whole.points, whole.triangles);
     progress.check()?;
     let start = LoopState::of_input(&original, goal.record_positions)?;
-    // Without a bound on colour, the largest colour difference is bounded along with the proof of shape.
-    let of_all = D > 3 && options.bounds.color == f64::INFINITY && !options.tight_bounds;
-    let part = vec![0; if of_all { original.triangles.len() } else { 0 }];
-    let apart = of_all.then_some(SeparatePartitions { partition_index: &part, tolerances: &options.proof });
     let LoopResult { state, mut ledger, proven, stop, mut passes } =
-        run_loop::<D, K>(&original, start, locked, apart.as_ref(), options, goal, progress)?;
+        run_loop::<D, K>(&original, start, locked, None, options, goal, progress)?;
     let refused = state.mesh.refused_edges();
-    let colors = match apart {
-        Some(_) => ledger.bound_partitions(&state.mesh, |_| true, progress)?.first().copied(),
-        None => None,
-    };
     let mut mesh = state.mesh.into_compact();
     let mut certificate =
         create_certificate(&mesh, &mut ledger, proven, options, goal.threads, &mut progress.silent())?;
-    if let Some(Verdict { bound, attained, .. }) = colors {
-        let bound = Deviation {
-            color: bound.color.min(bound_color_difference(&mesh.points, &original.points)),
-            ..bound
-        };
-        certificate.bound.color = bound.color;
-        certificate.attained.color = attained.color;
+    // Without a bound on colour, only the largest difference is bounded, and only of the result: it would cost
+    // more than the proof of shape to bound it in every pass. With a weight of 0, colours do not matter.
+    if D > 3 && options.weight > 0.0 && options.bounds.color == f64::INFINITY && !options.tight_bounds {
+        let result = Surface::new(&mesh.points, &mesh.triangles, goal.threads)?;
+        let proof = certify::Options { limit: None, threads: goal.threads, ..options.proof };
+        let found = certify::bound_whole(&result, ledger.surface(), &proof, progress)?;
+        let color = found.bound.color.min(bound_color_difference(&mesh.points, &original.points));
+        certificate.bound.color = color;
+        certificate.attained.color = found.attained.color;
         let Certificate { result, from_result: own, original, .. } = &mut certificate;
-        [result, own, original].into_iter().flatten().for_each(|d| d.color = bound.color);
+        [result, own, original].into_iter().flatten().for_each(|d| d.color = color);
     }
     // The certificate is computed with more effort than the decisions, so it may prove the rest.
     let proven = proven || certificate.bound.is_within(ledger.bounds());
@@ -366,19 +365,27 @@ impl<'a, const D: usize> LoopState<'a, D> {
         let mut retreat = CollapseUndo::new(original, history, watched);
         let FailureTracker { failures, locked } = lost;
         for v in retreat.collect_samples_around(&mesh, open) {
-            limits.factors[v as usize] *= TIGHTENING_FACTOR;
+            if failures[v as usize] < MAX_TIGHTENINGS {
+                limits.factors[v as usize] *= TIGHTENING_FACTOR;
+            }
             failures[v as usize] = failures[v as usize].saturating_add(1);
         }
         let stubborn = |times: usize| {
             let times = if passes < MAX_PASSES_PER_FAILURE * times { times as u8 } else { 0 };
             retreat.repeatedly_failed(open, failures, times)
         };
-        let mut for_good = retreat.collect_vertices_around(&stubborn(FAILURES_BEFORE_LOCKING));
-        for_good.extend(ledger.unprovable.iter().flat_map(|&t| original.triangles[t as usize]));
+        let refined: Vec<Vec<u32>> = (FAILURES_BEFORE_REFINING..FAILURES_BEFORE_GIVING_UP)
+            .map(|times| retreat.collect_vertices_around(&stubborn(times)))
+            .take_while(|vertices| !vertices.is_empty())
+            .collect();
         let given_up = stubborn(FAILURES_BEFORE_GIVING_UP);
         ledger.mark_unprovable(retreat.undo_unproven(open, failures));
         ledger.mark_unprovable([given_up.mesh_triangles, given_up.input_triangles].concat());
-        retreat.restore_and_lock(&for_good, locked);
+        refined.iter().for_each(|vertices| retreat.refine(vertices));
+        retreat.lock(refined.get(REFINEMENTS_BEFORE_LOCKING).map_or(&[], Vec::as_slice), locked);
+        let unprovable: Vec<u32> =
+            ledger.unprovable.iter().flat_map(|&t| original.triangles[t as usize]).collect();
+        retreat.restore_and_lock(&unprovable, locked);
         let (mesh, lists, history) = retreat.into_state(mesh, locked);
         Self { mesh, sample_lists: lists, history }
     }

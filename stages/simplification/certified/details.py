@@ -22,7 +22,8 @@ class CertifiedDetails(Details):
     ----------
     attribute_scale_m_per_level : metres that weigh as much as one level of colour.
     shape_bound, color_bound : (q,) float64, metres and levels, proven both ways for each triangle: for its
-        points, and for input points whose nearest point is on it. `color_bound` is None without colours.
+        points, and for input points whose nearest point is on it. `color_bound` is None without colours, and
+        if they have neither weight nor a bound.
         Values may equal `max_shape` and `max_color` (or `color_bound_levels`) although smaller ones are true,
         unless `tight_bounds` is set.
     shape_bound_m, color_bound_levels : maximum over all triangles of input and result.
@@ -45,7 +46,7 @@ class CertifiedDetails(Details):
 
     headline: ClassVar[str] = (
         "{triangles:,} triangles, stopped by {stopped_by}; proven to be no more than "
-        "{shape_bound_m:at_most} m and {color_bound_levels:at_most} levels off"
+        "{shape_bound_m:at_most} m off"
     )
     arrays: ClassVar[tuple[str, ...]] = ("shape_bound", "color_bound")
 

@@ -32,7 +32,7 @@ from scanloom.stages.simplification.task import Task
 from scanloom.stages.surface.mesh import Mesh
 from scanloom.stages.surface.surface_color import get_vertex_attributes, has_color
 
-RESULT_VERSION = 7
+RESULT_VERSION = 8
 
 # Triangles per region of the collapse engine.
 REGION_TRIANGLES = 8192
@@ -80,7 +80,8 @@ def _run_on_manifold(task: Task[CertifiedParams]) -> SimplificationResult[Certif
     weight = task.attribute_scale
     if weight is None:
         weight = compute_balanced_weight(mesh, len(mesh.triangles) // EXPECTED_REDUCTION, task.threads)
-    with_color = mesh.colors is not None
+    # With a weight of 0 and no bound, colours do not matter.
+    with_color = mesh.colors is not None and (weight > 0 or task.max_color is not None)
     result = _kernels.simplify_certified(
         mesh.vertices,
         get_vertex_attributes(mesh),
