@@ -145,6 +145,11 @@ def test_the_volume_keeps_to_the_limit_too():
     assert limit_stage_memory(Config(), Limits(memory=90 * 10**9)).fuse.memory == 4000
 
 
+def test_refinement_may_take_what_the_libraries_leave():
+    limited = [limit_stage_memory(Config(), Limits(memory=BASE_BYTES + mb * MB)) for mb in (75, 90_000)]
+    assert [config.refine.memory for config in limited] == [75, Config().refine.memory]
+
+
 @pytest.mark.slow
 def test_a_run_keeps_to_its_limits_and_keeps_what_is_finished(tmp_path: Path):
     scan, out = write_small_scan(tmp_path / "scan"), tmp_path / "out"
