@@ -14,6 +14,7 @@ from scanloom.pipeline.steps.bake import BakeSection
 from scanloom.pipeline.steps.coverage import CoverageSection
 from scanloom.pipeline.steps.export import ExportSection
 from scanloom.pipeline.steps.lod import LodSection
+from scanloom.pipeline.steps.refine import RefineSection
 from scanloom.pipeline.steps.remesh import RemeshSection
 from scanloom.pipeline.steps.texture import TextureSection
 from scanloom.pipeline.steps.tiles import TilesSection
@@ -22,7 +23,6 @@ from scanloom.stages.adjusting.adjust import AdjustParams
 from scanloom.stages.cleaning.clean import CleanParams
 from scanloom.stages.comparing.compare import CompareParams
 from scanloom.stages.fusion.params import FuseParams
-from scanloom.stages.refinement.params import RefineParams
 from scanloom.stages.registration.params import RegisterParams
 from scanloom.stages.scans.params import ScanParams
 from scanloom.stages.simplification.simplify import SimplifyParams
@@ -44,7 +44,7 @@ class Config(Sections):
     adjust: AdjustParams = field(default_factory=AdjustParams)
     fuse: FuseParams = field(default_factory=FuseParams)
     clean: CleanParams = field(default_factory=CleanParams)
-    refine: RefineParams = field(default_factory=RefineParams)
+    refine: RefineSection = field(default_factory=RefineSection)
     upright: UprightSection = field(default_factory=UprightSection)
     simplify: SimplifyParams = field(default_factory=SimplifyParams)
     texture: TextureSection = field(default_factory=TextureSection)

@@ -1,7 +1,7 @@
 """Mesh kernels in Rust. Private: use `scanloom.stages.simplification.simplify` and the other stages."""
 
 from collections.abc import Callable, Sequence
-from typing import TypeAlias, final
+from typing import Any, TypeAlias, final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,6 +58,7 @@ __all__ = [
     "find_touched_blocks",
     "fit",
     "is_inside_all_masks",
+    "label_components",
     "lay_out_atlas",
     "locate_texels",
     "match_descriptors",
@@ -1103,6 +1104,14 @@ def find_intersecting_triangles(
     progress: Callable[[int, int], object],
 ) -> NDArray[np.uint32]:
     """Find for each triangle one that it intersects beyond their shared vertices; 2³² − 1 for none."""
+
+def label_components(
+    count: int, a: NDArray[np.integer[Any]], b: NDArray[np.integer[Any]]
+) -> tuple[int, NDArray[np.int32]]:
+    """Label the connected components of nodes joined by the pairs (a, b), int32 or int64.
+
+    Returns their number, and the label (count,) of each node, numbered by the first nodes.
+    """
 
 def compute_spatial_order(
     vertices: NDArray[np.float64], triangles: NDArray[np.int32]

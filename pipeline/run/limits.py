@@ -56,15 +56,21 @@ class Limits:
 NO_LIMITS = Limits()
 
 
-def limit_volume_memory(config: Config, limits: Limits) -> Config:
-    """Limit fuse.memory to a third of the memory limit.
+def limit_stage_memory(config: Config, limits: Limits) -> Config:
+    """Limit fuse.memory to a third of the memory limit, and refine.memory to all of it.
 
-    The remainder is needed for mesh extraction and per-frame data. `fuse.memory` does not affect results.
+    The remainder is needed for mesh extraction and per-frame data. `fuse.memory` does not affect results;
+    `refine.memory` only if a mesh is too large to be refined, which is a warning.
     """
     if limits.memory is None:
         return config
-    max_volume_mb = max((limits.memory - BASE_BYTES) / (_VOLUME_DIVISOR * 1e6), 1.0)
-    return replace(config, fuse=replace(config.fuse, memory=min(config.fuse.memory, max_volume_mb)))
+    available_mb = max((limits.memory - BASE_BYTES) / 1e6, 1.0)
+    max_volume_mb = max(available_mb / _VOLUME_DIVISOR, 1.0)
+    return replace(
+        config,
+        fuse=replace(config.fuse, memory=min(config.fuse.memory, max_volume_mb)),
+        refine=replace(config.refine, memory=min(config.refine.memory, available_mb)),
+    )
 
 
 class LimitGuard:

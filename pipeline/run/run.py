@@ -23,7 +23,7 @@ from scanloom.pipeline.report.page.show import Page
 from scanloom.pipeline.report.run_page import make_run_page
 from scanloom.pipeline.run.engine import Engine, StageOutcome
 from scanloom.pipeline.run.events import RunEventHandler, RunStarted, StageProgress, ignore_run_event
-from scanloom.pipeline.run.limits import NO_LIMITS, LimitGuard, Limits, limit_volume_memory
+from scanloom.pipeline.run.limits import NO_LIMITS, LimitGuard, Limits, limit_stage_memory
 from scanloom.pipeline.run.output_folder import OutputFolder
 from scanloom.pipeline.run.report_document import compose_report
 from scanloom.pipeline.run.resource_estimation import estimate_stages
@@ -280,7 +280,7 @@ def _run_stages(
     prepared: PreparedRun, cache: Cache, overwrite: bool, limits: Limits, events: RunEventHandler
 ) -> RunResult:
     scan, out, planned = prepared.scan, prepared.out, prepared.planned_names
-    config = limit_volume_memory(prepared.config, limits)
+    config = limit_stage_memory(prepared.config, limits)
     events(RunStarted(scan.layout, len(scan.frames), planned, scan.is_metric))
     with convert_os_errors(f"the output folder {out} cannot be used"):
         out.mkdir(parents=True, exist_ok=True)

@@ -1,8 +1,9 @@
 """Stage `refine`: removes the noise of the sensor from the clean mesh.
 
-refined.ply            mesh; vertex property `deviation`: standard deviation along the normal, metres;
-                       `filled`: 1 inside of closed holes, otherwise 0
-refined.pieces.json    chunk table, if the mesh exceeds the in-memory limit; it is then the clean mesh
+refined.ply            mesh, ordered by chunks; vertex property `deviation`: standard deviation along the
+                       normal, metres; `filled`: 1 inside of closed holes, otherwise 0. Both are missing if
+                       the clean mesh is too large to be refined
+refined.pieces.json    chunk table, if the mesh exceeds the in-memory limit
 """
 
 from __future__ import annotations
@@ -17,20 +18,44 @@ import numpy as np
 
 from scanloom.pipeline.artifacts.mesh_file import MeshFile
 from scanloom.pipeline.artifacts.posed_frames import PosedFrames
-from scanloom.pipeline.cost_model import MAX_BYTES_IN_CHUNKS, CostModel
+from scanloom.pipeline.cost_model import BASE_BYTES, CostModel
 from scanloom.pipeline.result_versions import collect_result_versions
 from scanloom.pipeline.sections import Sections
 from scanloom.pipeline.skipped_frames import warn_skipped_frames
 from scanloom.pipeline.stage import Context, Stage
-from scanloom.pipeline.steps.clean import CleanMesh
+from scanloom.pipeline.steps.clean import CleanMesh, is_clean_mesh_large
 from scanloom.stages.cleaning.clean import clean
 from scanloom.stages.comparing.certify import certify
+from scanloom.stages.diagnostics.collector import emit
 from scanloom.stages.fusion.depth_noise import estimate_depth_noise
 from scanloom.stages.inspecting.libraries import list_installed_versions
+from scanloom.stages.params import param
 from scanloom.stages.refinement.params import RefineParams
-from scanloom.stages.refinement.refine import refine
-from scanloom.stages.surface.chunked_ply import make_table_path
-from scanloom.stages.surface.formats.ply import write_ply
+from scanloom.stages.refinement.refine import estimate_memory, refine
+from scanloom.stages.surface.chunk_partition import write_in_chunks
+from scanloom.stages.surface.chunked_ply import ChunkedPly, make_table_path
+from scanloom.stages.surface.codes import FUSE_TOO_LARGE
+from scanloom.stages.surface.mesh import Mesh
+
+
+@dataclass(frozen=True, kw_only=True)
+class RefineSection(RefineParams):
+    """Refinement of the clean mesh."""
+
+    memory: float = param(
+        8000.0,
+        "Memory limit for a mesh in chunks, which has more than 5 million triangles; if it needs more, it "
+        "stays as it is.",
+        unit="MB",
+        low=1,
+        # The versions in the cache key tell if the mesh was refined.
+        invalidates=False,
+    )
+
+    def has_memory_for(self, triangles: int) -> bool:
+        """Return True if a mesh of so many triangles can be refined within the memory limit."""
+        return estimate_memory(triangles) <= self.memory * 1e6
+
 
 # Vertex property of the standard deviation.
 DEVIATION = "deviation"
@@ -59,27 +84,56 @@ class RefineInputs(PosedFrames):
     clean_mesh: CleanMesh
 
 
-def _run(inputs: RefineInputs, params: RefineParams, context: Context) -> Mapping[str, Any]:
+def _run(inputs: RefineInputs, params: RefineSection, context: Context) -> Mapping[str, Any]:
     result = context.folder / RefinedMesh.FILE
-    if inputs.clean_mesh.is_large:
-        return _copy_large_mesh(inputs.clean_mesh, result)
-    refined = refine(inputs.clean_mesh.load(), inputs.load_posed(), params, progress=context.progress)
-    values = {DEVIATION: refined.deviations, "filled": refined.is_filled.astype(np.float64)}
-    write_ply(result, refined.mesh, vertex_values=values)
+    if _is_kept({"clean_mesh": inputs.clean_mesh}, params):
+        return _copy_mesh(inputs.clean_mesh, result, params)
+    refined = refine(_load_mesh(inputs.clean_mesh), inputs.load_posed(), params, progress=context.progress)
+    values = {
+        DEVIATION: refined.deviations.astype(np.float32),
+        "filled": refined.is_filled.astype(np.float32),
+    }
+    write_in_chunks(result, refined.mesh, values)
     metrics = refined.to_dict()
     warn_skipped_frames(metrics["frames_skipped"])
     return metrics
 
 
-def _copy_large_mesh(clean_mesh: CleanMesh, result: Path) -> Mapping[str, Any]:
+def _is_kept(known: Mapping[str, Any], params: RefineSection) -> bool:
+    """Return True if the clean mesh is too large to be refined; False if it is not known yet."""
+    return is_clean_mesh_large(known) and not params.has_memory_for(known["clean_mesh"].triangle_count)
+
+
+def _load_mesh(clean_mesh: CleanMesh) -> Mesh:
+    return ChunkedPly(clean_mesh.path).read_mesh() if clean_mesh.is_large else clean_mesh.load()
+
+
+def _copy_mesh(clean_mesh: CleanMesh, result: Path, params: RefineSection) -> Mapping[str, Any]:
     shutil.copyfile(clean_mesh.path, result)
     shutil.copyfile(make_table_path(clean_mesh.path), make_table_path(result))
-    return {"triangles": clean_mesh.triangle_count, "why": "it is processed in chunks"}
+    count = clean_mesh.triangle_count
+    emit(
+        FUSE_TOO_LARGE.warning(
+            "the mesh is not refined: its {triangles:,} triangles need {needed:.2g} GB of memory, more than "
+            "the limit of {limit:.2g} GB for this stage",
+            remedy="Increase refine.memory and the memory limit of the run, or fuse.voxel_size.",
+            triangles=count,
+            needed=estimate_memory(count) / 1e9,
+            limit=params.memory / 1e3,
+        )
+    )
+    return {"triangles": count, "why": "refinement needs more memory than refine.memory allows"}
 
 
-def _list_versions(known: Mapping[str, Any], config: Sections) -> Mapping[str, int]:  # noqa: ARG001
+def _list_versions(known: Mapping[str, Any], config: Sections) -> Mapping[str, int]:
+    if _is_kept(known, config.get(RefineSection)):
+        return {"copy": 1}
     # `clean` may repair, which `refine` does not ask for; its versions are few enough to be included.
     return collect_result_versions(refine, estimate_depth_noise, clean, certify)
+
+
+def _compute_memory_bound(config: Sections) -> float:
+    return BASE_BYTES + 1e6 * config.get(RefineSection).memory
 
 
 def _format_headline(metrics: Mapping[str, Any]) -> str:
@@ -91,7 +145,7 @@ def _format_headline(metrics: Mapping[str, Any]) -> str:
 
 STAGE = Stage(
     name="refine",
-    section=RefineParams,
+    section=RefineSection,
     inputs=RefineInputs,
     labels=("names",),
     artifact=RefinedMesh,
@@ -99,7 +153,8 @@ STAGE = Stage(
     versions=_list_versions,
     libraries=list_installed_versions("scanloom", "opencv", "scipy"),
     result_names=(RefinedMesh.FILE,),
-    cost=CostModel(seconds_per_megapixel=0.4, max_bytes=MAX_BYTES_IN_CHUNKS),
+    cost=CostModel(seconds_per_megapixel=0.4),
     headline=_format_headline,
     progress_unit="frames",
+    memory_bound=_compute_memory_bound,
 )

@@ -303,7 +303,7 @@ def _fit_depth(
     if prepared is None:
         return unused
     problem, state = prepared
-    problem = replace(problem, depth_precision=compute_depth_precision(surfaces))
+    problem = replace(problem, depth_precision=compute_depth_precision(surfaces.basis))
     state = replace(state, depth_coefficients=np.zeros(surfaces.basis.shape[1]))
     for number in range(_DEPTH_ROUNDS):
         problem = problem.update_planes(neutral_views, state)

@@ -106,13 +106,13 @@ def create_neutral_correction(views: Sequence[AdjustmentView]) -> DepthCorrectio
     return DepthCorrection(width, height, near, far, (0.0,) * COEFFICIENT_COUNT)
 
 
-def compute_depth_precision(surfaces: SurfacePoints) -> NDArray[np.float64]:
+def compute_depth_precision(basis: NDArray[np.float64]) -> NDArray[np.float64]:
     """Compute the inverse covariance (d, d) of the prior on the depth coefficients.
 
-    The mean correction at the surface points is held at zero.
+    The mean correction at the surface points is held at zero; `basis` (n, d) has the basis functions there.
     """
     sigmas = np.repeat([_CONSTANT_SIGMA, _LINEAR_SIGMA], POSITION_COUNT)
-    mean = surfaces.basis.mean(axis=0)
+    mean = basis.mean(axis=0)
     return np.asarray(np.diag(sigmas**-2) + np.outer(mean, mean) / _MEAN_SIGMA**2)
 
 

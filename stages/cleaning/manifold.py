@@ -60,7 +60,9 @@ def make_manifold(traced: TrackedMesh) -> ManifoldResult:
             not (edges.triangle_count > 2).any()
             and not ((edges.triangle_count == 2) & (edges.forward_count != 1)).any()
         )
-        traced = traced.split_fans(label_fans(traced.mesh.triangles, *_find_links(traced.mesh, edges)))
+        links = _find_links(traced.mesh, edges)
+        del edges
+        traced = traced.split_fans(label_fans(traced.mesh.triangles, *links))
         split_vertices += len(traced.mesh.vertices) - count
         is_invalid = np.zeros(0, bool) if is_sound else _find_invalid_triangles(traced.mesh)
         if not is_invalid.any():

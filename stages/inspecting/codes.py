@@ -40,6 +40,22 @@ disable it with `scan.check_poses=false`.
         "--set scan.check_poses=false."
     ),
 )
+CAMERA_DEPTH_BENT = Code(
+    "camera.depth-bent",
+    "Bent depth",
+    """
+A warning. Flat surfaces are bent in the depth maps, differently in each part of the image or at each range.
+This is common for structured light and time of flight. Pairs of frames were aligned rigidly, so that inexact
+poses do not count. A smooth correction of depth explains at least a fifth of the remaining squared distances
+between the surfaces of other pairs. The stage [adjust](../stages/adjust.md) fits such a correction if colour
+and depth do not agree already, and keeps it if held-out points agree clearly better; `adjust.depth` switches
+it. `scan.depth_calibration=FILE` applies a correction from another scan of the same camera.
+""",
+    (
+        "depth of overlapping frames differs by 0.6% of the distance, depending on the position in the image "
+        "and the range; `scanloom run` and `scanloom adjust` estimate a correction, if the images allow it"
+    ),
+)
 SCALE_DEPTH_UNIT_SUSPECT = Code(
     "scale.depth-unit-suspect",
     "Suspicious depth unit",

@@ -18,6 +18,7 @@ from scanloom.stages.fusion.depth_upsampling import upsample_single_frame
 from scanloom.stages.fusion.fusion_plan import FusionPlan, make_plan
 from scanloom.stages.fusion.params import FuseParams
 from scanloom.stages.inspecting import consistency_checks
+from scanloom.stages.inspecting.bent_depth import warn_bent_depth
 from scanloom.stages.inspecting.camera_path import measure_camera_path
 from scanloom.stages.inspecting.codes import CAMERA_COLOR_UNREGISTERED, SCAN_FRAMES_BLURRED
 from scanloom.stages.inspecting.depth_range import KNOWN_DEPTH_SCALES, measure_depth_range, report_markers
@@ -75,7 +76,7 @@ def _inspect(scan: Scan) -> Inspection:
     report_sizes(scan)
     depth, stereo_depth = None, None
     errors: dict[str, float] = {}
-    misfit = None
+    misfit, suspicion = None, None
     if scan.rig is not None and scan.rig.left.is_calibrated:
         stereo_depth = _compute_stereo_depth(scan.rig)
         consistency_checks.report_stereo_faults([(one.color, one.right) for one in samples], scan.rig)
@@ -102,6 +103,8 @@ def _inspect(scan: Scan) -> Inspection:
             consistency_checks.warn_inexact_poses(scan.frames)
     sharpness = _find_blurriest_frames(scan)
     plan = _make_fusion_plan(scan) if depth is not None and path is not None else None
+    if plan is not None and suspicion is None:
+        warn_bent_depth(scan.frames, plan.noise)
     subject = None
     if depth is not None and path is None and len(scan.frames) > 1:
         subject = "object" if has_moving_object(scan.frames) else "scene"

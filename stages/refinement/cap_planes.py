@@ -66,8 +66,9 @@ def fit_planes(vertices: Floats, plane_ids: Ids, plane_count: int) -> Planes:
         counts = np.maximum(np.bincount(labels, minlength=plane_count), 1)
         centres = _sum_by(labels, points, plane_count) / counts[:, None]
         offsets = points - centres[labels]
-        products = (offsets[:, :, None] * offsets[:, None, :]).reshape(-1, 9)
-        _, axes = np.linalg.eigh(_sum_by(labels, products, plane_count).reshape(-1, 3, 3))
+        # One product at a time: all nine take more memory than the mesh.
+        products = [np.bincount(labels, a * b, plane_count) for a in offsets.T for b in offsets.T]
+        _, axes = np.linalg.eigh(np.stack(products, axis=1).reshape(-1, 3, 3))
         normals = axes[:, :, 0]
         planes = Planes(normals, (normals * centres).sum(axis=1))
         heights = planes.measure_heights(points, labels)

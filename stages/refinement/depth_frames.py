@@ -15,7 +15,7 @@ from scanloom.stages.scans.model.prefetch import get_worker_count, map_ordered
 from scanloom.stages.scans.model.scan import Frame, SkippedFrame
 
 # Memory for depth maps that are kept after the first reading, bytes. The others are read again.
-_MAX_KEPT_BYTES = 400_000_000
+MAX_KEPT_BYTES = 400_000_000
 _NOTHING = np.zeros((0, 0), np.float32)
 
 
@@ -58,7 +58,7 @@ class DepthFrames:
             on_progress(number + 1)
 
     def _keep(self, index: int, view: PosedDepth) -> None:
-        if index not in self._kept and self._kept_bytes + view.surface.depth.nbytes <= _MAX_KEPT_BYTES:
+        if index not in self._kept and self._kept_bytes + view.surface.depth.nbytes <= MAX_KEPT_BYTES:
             # Normals are not needed any more, and take four times the memory of the depth.
             surface = replace(view.surface, normal=(_NOTHING,) * 3, obliqueness=_NOTHING)
             self._kept[index] = replace(view, surface=surface)

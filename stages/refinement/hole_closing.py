@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,6 +40,10 @@ _MAX_FREE_RATIO = 0.05
 _MIN_FOLD_COSINE, _MAX_FOLDED_RIM_RATIO = -0.866, 0.2
 # Minimum distance from other surface in edge lengths. Surface within so many rings of the rim is not tested.
 _MIN_CLEARANCE_EDGES, _NEAR_RINGS = 0.7, 4
+# Side of the cells for the search of such surface, in distances.
+_CELL_REACHES = 8.0
+# Vertices or edges that are compared at a time, to limit the memory.
+_BATCH_SIZE = 1 << 20
 # Deviation of the vertices of a cap relative to the median: as for vertices that no frame measured.
 _FILLED_DEVIATION_RATIO = 3.0
 
@@ -105,7 +110,7 @@ def close_holes(
     unchanged = ClosedHoles(mesh, np.zeros(len(mesh.vertices), bool), deviations, plane_ids, 0, 0.0)
     if not len(edges.ends):
         return unchanged
-    mean_edge = float(np.linalg.norm(np.diff(mesh.vertices[edges.ends], axis=1), axis=2).mean())
+    mean_edge = _measure_mean_edge(mesh, edges)
     limit = _DEFAULT_LENGTH_EDGES * mean_edge if max_length is None else max_length
     found = find_caps(mesh, edges, limit) if limit > 0 else []
     if not found:
@@ -123,6 +128,15 @@ def close_holes(
     )
     is_kept &= free_counts <= _MAX_FREE_RATIO * counts
     return _append_caps(unchanged, caps, is_kept) if is_kept.any() else unchanged
+
+
+def _measure_mean_edge(mesh: Mesh, edges: Edges) -> float:
+    """Return the mean length of the edges, metres."""
+    lengths = np.empty(len(edges.ends))
+    for first in range(0, len(lengths), _BATCH_SIZE):
+        ends = mesh.vertices[edges.ends[first : first + _BATCH_SIZE]]
+        lengths[first : first + _BATCH_SIZE] = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
+    return float(lengths.mean())
 
 
 def _shape_caps(
@@ -201,12 +215,18 @@ def _triangulate_sections(
 
 def _place_vertices(mesh: Mesh, edges: Edges, caps: _Caps, planes: Planes, lengths: Floats) -> _Caps:
     """Remesh the caps, and place their vertices on planes or on smooth continuations."""
-    rim = np.unique(np.concatenate(caps.loops))
     is_rim = np.zeros(len(mesh.vertices), bool)
-    is_rim[rim] = True
-    taken = edges.ends[is_rim[edges.ends].all(axis=1)]
+    is_rim[np.concatenate(caps.loops)] = True
     around = mesh.triangles[is_rim[mesh.triangles].any(axis=1)]
-    cap_mesh = caps.cap_mesh
+    # Only vertices of the caps and around them take part; the mesh is much larger.
+    given = caps.cap_mesh
+    used = np.unique(np.concatenate([given.triangles.ravel(), around.ravel()]))
+    around, taken, triangles = (
+        np.searchsorted(used, some).astype(np.int32)
+        for some in (around, edges.ends[is_rim[edges.ends].all(axis=1)], given.triangles)
+    )
+    mesh_count = int(np.searchsorted(used, len(mesh.vertices)))
+    cap_mesh = CapMesh(given.points[used], triangles, given.patches, len(used))
     for _ in range(_FAIRING_ITERATIONS):
         cap_mesh = remesh_caps(cap_mesh, lengths, taken)
         points = cap_mesh.points.copy()
@@ -217,10 +237,18 @@ def _place_vertices(mesh: Mesh, edges: Edges, caps: _Caps, planes: Planes, lengt
         if len(smooth):
             own = cap_mesh.triangles[caps.planes[cap_mesh.patches] < 0]
             points[smooth] = fair(
-                points, np.concatenate([own, around]), np.unique(own[own < len(mesh.vertices)]), smooth
+                points, np.concatenate([own, around]), np.unique(own[own < mesh_count]), smooth
             )
         cap_mesh = CapMesh(points, cap_mesh.triangles, cap_mesh.patches, cap_mesh.fixed_count)
-    return _Caps(cap_mesh, caps.holes, caps.planes, caps.crease_planes, caps.loops)
+    created = cap_mesh.points[len(used) :]
+    numbers = np.concatenate([used, given.fixed_count + np.arange(len(created))])
+    placed = CapMesh(
+        np.concatenate([given.points, created]),
+        numbers[cap_mesh.triangles].astype(np.int32),
+        cap_mesh.patches,
+        given.fixed_count,
+    )
+    return _Caps(placed, caps.holes, caps.planes, caps.crease_planes, caps.loops)
 
 
 def _find_planes(cap_mesh: CapMesh, patch_planes: Ids) -> Ids:
@@ -288,8 +316,7 @@ def _find_contacts(
 
     points, owners = samples
     reach = _MIN_CLEARANCE_EDGES * mean_edge
-    low, high = points.min(axis=0) - reach, points.max(axis=0) + reach
-    (candidates,) = np.nonzero(((mesh.vertices >= low) & (mesh.vertices <= high)).all(axis=1))
+    candidates = _select_near(mesh.vertices, points, reach)
     tree = cKDTree(points)
     contacts = tree.sparse_distance_matrix(
         cKDTree(mesh.vertices[candidates]), reach, output_type="coo_matrix"
@@ -304,9 +331,37 @@ def _find_contacts(
     return found
 
 
+def _select_near(vertices: Floats, points: Floats, reach: float) -> Ids:
+    """Select the vertices in cells of a grid that points reach; all within `reach` of a point are among them.
+
+    A search tree of all vertices would take more memory than the mesh.
+    """
+    low, high = points.min(axis=0) - reach, points.max(axis=0) + reach
+    cell = _CELL_REACHES * reach
+    shape = tuple(np.floor((high - low) / cell).astype(int) + 1)
+
+    def find_cells(locations: Floats) -> Ids:
+        indices = np.floor((locations - low) / cell).astype(np.int64)
+        return np.asarray(np.ravel_multi_index(tuple(indices.T), shape))
+
+    corners = [points + reach * np.array(shift) for shift in product((-1, 1), repeat=3)]
+    reached = np.unique(np.concatenate([find_cells(some.clip(low, high)) for some in corners]))
+    selected = []
+    for first in range(0, len(vertices), _BATCH_SIZE):
+        batch = vertices[first : first + _BATCH_SIZE]
+        (inside,) = np.nonzero(((batch >= low) & (batch <= high)).all(axis=1))
+        selected.append(first + inside[np.isin(find_cells(batch[inside]), reached)])
+    return np.concatenate(selected)
+
+
 def _find_near_vertices(edges: Edges, loops: Sequence[Ids], vertex_count: int) -> Ids:
     """Return the vertices within some rings of each rim, as hole · vertex_count + vertex."""
-    ends = np.concatenate([edges.ends, edges.ends[:, ::-1]])
+    reached = np.zeros(vertex_count, bool)
+    reached[np.concatenate(loops)] = True
+    for _ in range(_NEAR_RINGS):
+        reached[edges.ends[reached[edges.ends].any(axis=1)]] = True
+    ends = edges.ends[reached[edges.ends].all(axis=1)]
+    ends = np.concatenate([ends, ends[:, ::-1]])
     ends = ends[np.argsort(ends[:, 0], kind="stable")]
     starts = np.searchsorted(ends[:, 0], np.arange(vertex_count + 1))
     keys = np.concatenate([hole * vertex_count + loop for hole, loop in enumerate(loops)])

@@ -36,25 +36,28 @@ from scanloom.stages.params import resolve
 from scanloom.stages.printing import format_by_metrics, render_table
 from scanloom.stages.progress import Progress, ignore_progress
 from scanloom.stages.refinement.codes import REFINE_DATA_LEFT_OUT
-from scanloom.stages.refinement.depth_frames import DepthFrames
+from scanloom.stages.refinement.depth_frames import MAX_KEPT_BYTES, DepthFrames
 from scanloom.stages.refinement.flaps import mask_flaps
 from scanloom.stages.refinement.hole_closing import close_holes
 from scanloom.stages.refinement.params import RefineParams
 from scanloom.stages.scans.codes import SCAN_FRAMES_SKIPPED
 from scanloom.stages.scans.model.scan import Frame, Scan, SkippedFrame
+from scanloom.stages.surface.memory_release import release_free_memory
 from scanloom.stages.surface.mesh import Colors, Mesh
 from scanloom.stages.surface.mesh_conversion import MeshLike, as_mesh
-from scanloom.stages.surface.topology import require_manifold, require_measurable
+from scanloom.stages.surface.topology import has_repeated_vertex, require_manifold, require_measurable
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
     from scanloom.stages.params.keywords import RefineKeywords
 
-RESULT_VERSION = 2
+RESULT_VERSION = 3
 
 # Corrections towards the depth measurements. The second one starts from a better surface.
 _CORRECTION_COUNT = 2
+# Peak memory per triangle beyond the kept depth maps, bytes; 300 were measured on 3.2 million triangles.
+_BYTES_PER_TRIANGLE = 350
 # Mean edge lengths by which vertices of the boundary may move.
 _MAX_BOUNDARY_MOVE = 0.5
 
@@ -120,6 +123,14 @@ class RefinementResult:
         }
 
 
+def estimate_memory(triangles: int) -> int:
+    """Estimate the memory that `refine` needs for a mesh of so many triangles, bytes.
+
+    The libraries themselves are not included.
+    """
+    return MAX_KEPT_BYTES + _BYTES_PER_TRIANGLE * triangles
+
+
 def refine(
     mesh: MeshLike,
     frames: Scan | Iterable[Frame],
@@ -158,7 +169,6 @@ def refine(
     params = resolve(RefineParams, params, changes)
     given = as_mesh(mesh)
     require_measurable(given, "mesh")
-    require_manifold(given)
     folder = frames.folder if isinstance(frames, Scan) else None
     usable = [one for one in (frames.frames if isinstance(frames, Scan) else frames) if one.depth is not None]
     with collecting() as diagnostics:
@@ -197,9 +207,7 @@ def _refine(
     mesh: Mesh, depth_frames: DepthFrames, noise: DepthNoise, params: RefineParams, progress: Progress
 ) -> RefinementResult:
     _report_data_left_out(mesh)
-    refiner = _kernels.SurfaceRefiner(
-        mesh.vertices, mesh.triangles, strength=params.strength, wanted_threads=0
-    )
+    refiner = _make_refiner(mesh, params.strength)
     # The last pass looks for free space.
     passes = 2 + _CORRECTION_COUNT
     for number in range(passes - 1):
@@ -215,6 +223,7 @@ def _refine(
     if params.planes:
         refiner.flatten()
     (vertices, triangles, sources, ends, shares), values = refiner.finish()
+    release_free_memory()
     moves, deviations, best_cosines, plane_ids, plane_count = values
     if not best_cosines.any():
         return replace(_keep_mesh(mesh, _NOT_MEASURED), skipped=tuple(depth_frames.skipped.values()))
@@ -223,6 +232,9 @@ def _refine(
     kept = clean(
         Mesh(vertices, triangles[~is_flap], colors, up=mesh.up), CleanParams(min_island_area=0, stitch=False)
     )
+    # The mesh can have many million triangles: earlier ones are not kept in memory.
+    del vertices, triangles, colors
+    release_free_memory()
     smooth = _kernels.smooth_boundaries(
         kept.mesh.vertices, kept.mesh.triangles, max_move_ratio=_MAX_BOUNDARY_MOVE, wanted_threads=0
     )
@@ -249,6 +261,17 @@ def _refine(
         filled_area=closed.area,
         skipped=tuple(depth_frames.skipped.values()),
     )
+
+
+def _make_refiner(mesh: Mesh, strength: float) -> _kernels.SurfaceRefiner:
+    try:
+        if not has_repeated_vertex(mesh.triangles).any():
+            return _kernels.SurfaceRefiner(mesh.vertices, mesh.triangles, strength=strength, wanted_threads=0)
+    except _kernels.InvalidMeshError:
+        require_manifold(mesh)
+        raise
+    require_manifold(mesh)
+    raise AssertionError("has_repeated_vertex and require_manifold disagree")
 
 
 def _report_pass(progress: Progress, number: int, passes: int, frame_count: int, done: int) -> None:

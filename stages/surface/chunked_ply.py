@@ -3,7 +3,8 @@
 A chunk is a range of consecutive vertices and triangles.
 
 mesh.ply           standard PLY, readable by any program
-mesh.pieces.json   only for large meshes: vertex range, triangle range and bounding box of each chunk
+mesh.pieces.json   only for large meshes: vertex range, triangle range and bounding box of each chunk, and the
+                   names of further vertex properties
 
 Triangles of a chunk can reference vertices of other chunks. A chunk is read as a mesh that includes these
 vertices, together with the index of each vertex in the whole mesh.
@@ -107,6 +108,7 @@ class ChunkedPly:
                 for one in document["pieces"]
             )
             has_colors, self.spacing = bool(document["has_colors"]), float(document["spacing_m"])
+            values = tuple(str(name) for name in document.get("values", ()))
         except (KeyError, TypeError, ValueError) as error:
             raise InputError(
                 MESH_FILE_DAMAGED,
@@ -116,8 +118,8 @@ class ChunkedPly:
             ) from error
         ends = [(one.vertices[1], one.triangles[1]) for one in self.extents] or [(0, 0)]
         self.vertex_count, self.triangle_count = ends[-1]
-        header = _make_header(self.vertex_count, self.triangle_count, has_colors=has_colors)
-        row = _make_row_dtype(has_colors=has_colors)
+        header = _make_header(self.vertex_count, self.triangle_count, has_colors=has_colors, values=values)
+        row = _make_row_dtype(has_colors=has_colors, values=values)
         starts = len(header), len(header) + self.vertex_count * row.itemsize
         size = starts[1] + self.triangle_count * _FACE_DTYPE.itemsize
         with open_input(path) as file:
@@ -166,18 +168,35 @@ class ChunkedPly:
         extent = self.extents[index]
         vertices, faces = self._map_tables()
         triangles = np.array(faces[slice(*extent.triangles)]["corners"], np.int64)
-        if triangles.size and (triangles.min() < 0 or triangles.max() >= self.vertex_count):
-            raise InputError(
-                MESH_FILE_DAMAGED,
-                "the file is damaged: a triangle references a vertex that does not exist.",
-                self.path,
-            )
+        self._require_known_vertices(triangles)
         first, end = extent.vertices
         numbers, local = localize_indices(first, end, triangles)
         rows = np.concatenate([vertices[first:end], vertices[numbers[end - first :]]])
         places = np.stack([rows[axis] for axis in "xyz"], axis=1)
         colors = np.stack([rows[c] for c in _COLORS], axis=1) if self.has_colors else None
         return MeshChunk(Mesh(places, local, colors), numbers, end - first)
+
+    def read_mesh(self) -> Mesh:
+        """Read the whole mesh, for work that needs it in memory.
+
+        Raises
+        ------
+        InputError
+            If a triangle references a vertex that does not exist.
+        """
+        vertices, faces = self._map_tables()
+        triangles = np.array(faces["corners"], np.int32)
+        self._require_known_vertices(triangles)
+        colors = np.stack([vertices[c] for c in _COLORS], axis=1) if self.has_colors else None
+        return Mesh(np.stack([vertices[axis] for axis in "xyz"], axis=1), triangles, colors)
+
+    def _require_known_vertices(self, triangles: NDArray[np.integer[Any]]) -> None:
+        if triangles.size and (triangles.min() < 0 or triangles.max() >= self.vertex_count):
+            raise InputError(
+                MESH_FILE_DAMAGED,
+                "the file is damaged: a triangle references a vertex that does not exist.",
+                self.path,
+            )
 
     def sample_vertices(self, step: int) -> NDArray[np.float64]:
         """Read every `step`-th vertex as positions (k, 3), metres."""
@@ -231,10 +250,11 @@ def write_chunked_ply(
     *,
     has_colors: bool,
     spacing: float,
+    values: Sequence[str] = (),
 ) -> None:
     """Write a PLY file, and a chunk table if it is large.
 
-    The table is written for more than MOST_AT_ONCE triangles.
+    The table is written for more than MAX_IN_MEMORY_TRIANGLES triangles.
 
     Parameters
     ----------
@@ -243,6 +263,7 @@ def write_chunked_ply(
     chunks : one chunk per entry of `extents`, consumed once.
     has_colors : True if vertices have colours.
     spacing : metres; no triangle edge is longer than twice this.
+    values : names of the further vertex properties.
 
     Raises
     ------
@@ -250,10 +271,15 @@ def write_chunked_ply(
         If a file cannot be written.
     """
     vertex_count, triangle_count = (extents[-1].vertices[1], extents[-1].triangles[1]) if extents else (0, 0)
-    write_ply_in_chunks(path, vertex_count, triangle_count, chunks, has_colors=has_colors)
+    write_ply_in_chunks(path, vertex_count, triangle_count, chunks, has_colors=has_colors, values=values)
     if not exceeds_chunk_limit(triangle_count):
         return
-    document = {"has_colors": has_colors, "spacing_m": spacing, "pieces": [asdict(one) for one in extents]}
+    document = {
+        "has_colors": has_colors,
+        **({"values": list(values)} if values else {}),
+        "spacing_m": spacing,
+        "pieces": [asdict(one) for one in extents],
+    }
     with write_file_atomically(make_table_path(path)) as part:
         part.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8", newline="\n")
 

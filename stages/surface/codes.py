@@ -9,15 +9,17 @@ FUSE_TOO_LARGE = Code(
     "Mesh too large to process at once",
     """
 Meshes of more than 5 million triangles are cleaned, simplified, measured, drawn and searched for gaps in
-chunks, so that a run completes. `lod` starts from the simplified mesh and states [its
-distance](levels.md#levels-of-detail-of-a-large-mesh) from the clean mesh. The report page shows the result
-without the clean mesh and without the colours of gaps. Only `bake` needs the whole mesh in memory; use
-`texture` instead, which paints the simplified mesh from the photos. The chunk table, `fused.pieces.json` or
-`clean.pieces.json`, is stored next to the mesh in the cache and is valid for that file only.
+chunks, so that a run completes. [`refine`](../stages/refine.md#large-meshes) needs the whole mesh in memory:
+up to 21 million triangles by default, more with a larger `refine.memory`. Larger meshes keep their noise,
+with a warning. `lod` starts from the simplified mesh and states [its
+distance](levels.md#levels-of-detail-of-a-large-mesh) from the refined mesh. The report page shows coarse
+copies of large meshes. `bake` accepts no chunks; use `texture` instead, which paints the simplified mesh from
+the photos. The chunk table, for example `refined.pieces.json`, is stored next to the mesh in the cache and is
+valid for that file only.
 """,
     (
-        "bake reads all of clean.ply at once, which has 7,412,306 triangles; it takes up to 5,000,000. "
-        "Give a larger fuse.voxel_size, or fuse a part (fuse.box)."
+        "bake cannot process chunks, and refined.ply has 7,412,306 triangles, more than the in-memory limit "
+        "of 5,000,000. Increase fuse.voxel_size, or fuse a part of the scan (fuse.box)."
     ),
 )
 MESH_CLOUD_DAMAGED = Code(

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from scanloom.stages import _kernels
 from scanloom.stages.surface.mesh import Triangles
 
 Ids = NDArray[np.integer[Any]]
@@ -42,21 +43,26 @@ class Edges:
 
 def build_edges(triangles: Triangles, vertex_count: int) -> Edges:
     """Build the edges of triangles, which must not repeat a vertex."""
-    tail = triangles.reshape(-1).astype(np.int64)
-    head = tail[step_to_next_corner(np.arange(len(tail)))]
-    key = np.minimum(tail, head) * vertex_count + np.maximum(tail, head)
+    # Meshes can have many million triangles: large arrays are released as soon as possible.
+    tail, head = triangles.reshape(-1), np.roll(triangles, -1, axis=1).reshape(-1)
+    is_forward = tail < head
+    key = np.minimum(tail, head).astype(np.int64)
+    key *= vertex_count
+    key += np.maximum(tail, head)
+    del head
     halfedges = np.argsort(key, kind="stable")
-    ordered = key[halfedges]
+    key = key[halfedges]
     first = np.ones(len(key), bool)
-    first[1:] = ordered[1:] != ordered[:-1]
+    first[1:] = key[1:] != key[:-1]
     start = np.flatnonzero(first)
-    edge = np.cumsum(first) - 1
-    of_halfedge = np.empty(len(key), np.int64)
-    of_halfedge[halfedges] = edge
+    ends = np.stack(np.divmod(key[start], max(vertex_count, 1)), axis=1)
+    del key
+    of_halfedge = np.empty(len(first), np.int64)
+    of_halfedge[halfedges] = np.cumsum(first) - 1
     return Edges(
-        ends=np.stack(np.divmod(ordered[start], max(vertex_count, 1)), axis=1),
-        triangle_count=np.diff(start, append=len(key)),
-        forward_count=np.bincount(of_halfedge, tail < head, len(start)).astype(np.int64),
+        ends=ends,
+        triangle_count=np.diff(start, append=len(first)),
+        forward_count=np.bincount(of_halfedge[is_forward], minlength=len(start)),
         of_halfedge=of_halfedge,
         halfedges=halfedges,
         start=start,
@@ -81,20 +87,15 @@ def pair_halfedges(edges: Edges, chosen: NDArray[np.bool_]) -> tuple[Ids, Ids]:
 
 
 def label_components(node_count: int, a: Ids, b: Ids) -> tuple[int, Ids]:
-    """Label the connected components of `triangle_count` nodes joined by the pairs (a, b).
+    """Label the connected components of `node_count` nodes joined by the pairs (a, b).
 
     Labels are numbered in the order of each component's first node.
 
     Returns
     -------
-    The number of components, and the label (count,) of each node.
+    The number of components, and the label (node_count,) of each node.
     """
-    from scipy.sparse import csr_matrix
-    from scipy.sparse.csgraph import connected_components
-
-    graph = csr_matrix((np.ones(len(a), np.int8), (a, b)), shape=(node_count, node_count))
-    number, labels = connected_components(graph, directed=False)
-    return int(number), labels
+    return _kernels.label_components(node_count, a, b)
 
 
 def label_fans(triangles: Triangles, a: Ids, b: Ids) -> Ids:
@@ -103,11 +104,8 @@ def label_fans(triangles: Triangles, a: Ids, b: Ids) -> Ids:
     The halfedges of a pair share an edge. They can run in the same or in opposite directions.
     """
     corners = triangles.reshape(-1)
-    a_head, b_head = step_to_next_corner(a), step_to_next_corner(b)
+    b_head = step_to_next_corner(b)
     against = corners[a] == corners[b_head]
-    _, labels = label_components(
-        len(corners),
-        np.concatenate((a, a_head)),
-        np.concatenate((np.where(against, b_head, b), np.where(against, b, b_head))),
-    )
-    return labels
+    matching = np.concatenate((np.where(against, b_head, b), np.where(against, b, b_head)))
+    del b_head
+    return label_components(len(corners), np.concatenate((a, step_to_next_corner(a))), matching)[1]

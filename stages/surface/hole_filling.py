@@ -93,7 +93,9 @@ def find_caps(
 
 def find_border_chords(edges: Edges) -> set[tuple[int, int]]:
     """Return the edges between border vertices, smaller vertex first."""
-    between = np.isin(edges.ends, _find_border_vertices(edges)).all(axis=1)
+    is_border = np.zeros(edges.ends.max(initial=-1) + 1, bool)
+    is_border[edges.ends[edges.triangle_count == 1]] = True
+    between = is_border[edges.ends].all(axis=1)
     return set(map(tuple, edges.ends[between].tolist()))
 
 
@@ -114,10 +116,6 @@ def triangulate_loop(rim: Vertices, loop: Ids, existing: set[tuple[int, int]]) -
         is_flat = np.isinf(_compute_doubled_areas(*rim))
         return None if is_flat else np.array([[0, 1, 2]], np.int32)
     return _triangulate_min_area(rim, _find_allowed_edges(loop, existing))
-
-
-def _find_border_vertices(edges: Edges) -> Ids:
-    return np.unique(edges.ends[edges.triangle_count == 1])
 
 
 def _trace_border_loops(mesh: Mesh, edges: Edges) -> list[tuple[Ids, Ids]]:

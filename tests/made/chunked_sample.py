@@ -15,17 +15,18 @@ from scanloom.stages.fusion.fuse import fuse_to_file
 from scanloom.stages.fusion.params import FuseParams
 from scanloom.stages.scans.layouts.scan_json import write_scan_json
 from scanloom.stages.scans.reader import read_scan
-from scanloom.stages.surface import chunked_ply
+from scanloom.stages.surface import chunk_partition, chunked_ply
 
 _SAMPLE = Path(__file__).resolve().parents[2] / "samples" / "rgbd"
 
 
 @contextmanager
-def use_small_chunks() -> Iterator[None]:
-    """Let meshes of more than 3,000 triangles be large, and their pieces about 0.3 m."""
+def use_small_chunks(max_in_memory: int = 3_000) -> Iterator[None]:
+    """Make meshes of more than `max_in_memory` triangles large, with chunks of about 0.3 m."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(chunked_ply, "MAX_IN_MEMORY_TRIANGLES", 3_000)
+        patch.setattr(chunked_ply, "MAX_IN_MEMORY_TRIANGLES", max_in_memory)
         patch.setattr(fused_mesh_files, "CHUNK_SIZE_M", 0.3)
+        patch.setattr(chunk_partition, "CHUNK_SIZE_M", 0.3)
         yield
 
 

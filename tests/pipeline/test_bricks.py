@@ -180,10 +180,10 @@ def test_large_meshes_go_on_in_pieces_whatever_the_memory(tmp_path: Path) -> Non
             in_pieces = metrics(scan, tmp_path / way, ratio, *settings, until="simplify")
             assert ("bricks" in in_pieces["fuse"]) == (way != "one")
             assert in_pieces["simplify"]["parts"] > 5
-        with pytest.raises(StageError, match=r"bake cannot process chunks, and clean\.ply has"):
+        with pytest.raises(StageError, match=r"bake cannot process chunks, and refined\.ply has"):
             metrics(scan, tmp_path / "one", ratio, "bake.enabled=true", until="bake")
     assert in_pieces["simplify"]["triangles"] == pytest.approx(at_once["simplify"]["triangles"], abs=2)
-    for name in ("fused.ply", "clean.ply", "simplified.ply"):
+    for name in ("fused.ply", "clean.ply", "refined.ply", "simplified.ply"):
         assert len({(tmp_path / way / name).read_bytes() for way in ways}) == 1
     for name in ("fused.ply", "clean.ply"):
         assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "at-once" / name).read_bytes()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,7 @@ from scanloom.stages import coverage, lod, read_scan
 from scanloom.stages.comparing.certify import certify
 from scanloom.stages.comparing.compare import compare
 from scanloom.stages.comparing.deviations import deviations
+from scanloom.stages.surface.chunked_ply import make_table_path
 from scanloom.stages.surface.formats.ply import read_ply, read_vertex_values
 
 QUICK = (
@@ -143,3 +145,44 @@ def test_levels_of_what_is_not_proven_say_so_and_follow_the_light_mesh(made: Any
         other = Config().set([*QUICK, "simplify.ratio=0.1", "lod.enabled=true"])
         foreseen = predict_run(scan, out, other, until="lod", cache_dir=f"{out}-cache").stages
         assert [one.stage for one in foreseen if not one.cached] == ["simplify", "lod"]
+
+
+def test_a_chunked_mesh_is_refined_to_the_bytes_of_one_in_memory(made: Any, tmp_path: Path) -> None:
+    scan, out, result, said = made
+    with use_small_chunks(max_in_memory=5_000_000):
+        at_once, _ = ran(scan, tmp_path / "out", until="refine")
+    chunked, whole = out / "refined.ply", tmp_path / "out" / "refined.ply"
+    assert chunked.read_bytes() == whole.read_bytes()
+    assert (out / "clean.ply").read_bytes() == (tmp_path / "out" / "clean.ply").read_bytes()
+    assert chunked.read_bytes() != (out / "clean.ply").read_bytes()
+    assert metrics_of(result, "refine") == metrics_of(at_once, "refine")
+    assert metrics_of(result, "refine")["why"] == ""
+    folders = [next((Path(f"{one}-cache") / "refine").iterdir()) for one in (out, tmp_path / "out")]
+    assert [make_table_path(one / "refined.ply").exists() for one in folders] == [True, False]
+    assert 0 < np.median(read_vertex_values(chunked, "deviation")) < 0.01
+    filled = read_vertex_values(chunked, "filled")
+    assert filled is not None
+    assert set(filled.tolist()) <= {0.0, 1.0}
+    assert not any("refined.ply" in text for text in said)
+
+
+def test_without_memory_for_it_a_mesh_is_kept_and_the_run_says_so(made: Any, tmp_path: Path) -> None:
+    scan, out = made[0], tmp_path / "out"
+    little = "refine.memory=1"
+
+    def refine_again(*settings: str) -> tuple[dict[str, Any], list[str], bool]:
+        result, said = ran(scan, out, *settings, until="refine")
+        stage = next(one for one in result.stages if one.stage == "refine")
+        return metrics_of(result, "refine"), [text for text in said if "is not refined" in text], stage.cached
+
+    with use_small_chunks():
+        kept, said, _ = refine_again(little)
+        assert (out / "refined.ply").read_bytes() == (out / "clean.ply").read_bytes()
+        assert "more memory than refine.memory allows" in kept["why"]
+        assert len(said) == 1
+        assert re.search(r"its [\d,]+ triangles need .* GB .* limit of 0\.001 GB .*refine\.memory", said[0])
+        # The key of the cache tells refined meshes from others, and nothing else depends on the limit.
+        refined, said, cached = refine_again()
+        assert (refined["why"], said, cached) == ("", [], False)
+        assert refine_again("refine.memory=7000")[2]
+        assert refine_again(little)[2]

@@ -12,7 +12,7 @@ from small_scans import write_small_scan
 
 from scanloom.pipeline.config import Config
 from scanloom.pipeline.cost_model import BASE_BYTES, ResourceEstimate
-from scanloom.pipeline.run.limits import LimitGuard, Limits, limit_volume_memory
+from scanloom.pipeline.run.limits import LimitGuard, Limits, limit_stage_memory
 from scanloom.pipeline.run.resource_estimation import estimate_stages
 from scanloom.pipeline.run.run import run
 from scanloom.stages.diagnostics.errors import StageError
@@ -139,10 +139,15 @@ def test_a_draft_that_grows_too_large_is_stopped(tmp_path: Path):
 
 
 def test_the_volume_keeps_to_the_limit_too():
-    assert limit_volume_memory(Config(), Limits()).fuse.memory == 4000
+    assert limit_stage_memory(Config(), Limits()).fuse.memory == 4000
     # What is read and made beside it takes twice as much.
-    assert limit_volume_memory(Config(), Limits(memory=BASE_BYTES + 75 * MB)).fuse.memory == 25
-    assert limit_volume_memory(Config(), Limits(memory=90 * 10**9)).fuse.memory == 4000
+    assert limit_stage_memory(Config(), Limits(memory=BASE_BYTES + 75 * MB)).fuse.memory == 25
+    assert limit_stage_memory(Config(), Limits(memory=90 * 10**9)).fuse.memory == 4000
+
+
+def test_refinement_may_take_what_the_libraries_leave():
+    limited = [limit_stage_memory(Config(), Limits(memory=BASE_BYTES + mb * MB)) for mb in (75, 90_000)]
+    assert [config.refine.memory for config in limited] == [75, Config().refine.memory]
 
 
 @pytest.mark.slow

@@ -7,7 +7,9 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+import numpy as np
 import pytest
+from chunked_sample import use_small_chunks
 from importable_modules import import_modules
 
 from scanloom import pipeline, stages
@@ -17,7 +19,9 @@ from scanloom.pipeline.stage import Stage
 from scanloom.pipeline.steps.clean import CleanMesh
 from scanloom.pipeline.steps.refine import RefinedMesh
 from scanloom.stages.scans.model.scan import Camera, Frame, Scan, StereoRig
+from scanloom.stages.surface.chunk_partition import write_in_chunks
 from scanloom.stages.surface.chunked_ply import make_table_path
+from scanloom.stages.surface.mesh import Mesh
 
 ROOT = Path(stages.__file__).parents[1]
 MODULES = import_modules(pipeline, stages)
@@ -70,8 +74,11 @@ def all_versions(large: Path) -> dict[tuple[Any, ...], Mapping[str, int]]:
 
 @pytest.fixture
 def large(tmp_path: Path) -> Path:
-    for name in ("clean.ply", "refined.ply"):
-        make_table_path(tmp_path / name).touch()
+    triangle = Mesh(np.eye(3), np.array([[0, 1, 2]], np.int32))
+    with use_small_chunks(max_in_memory=0):
+        for name in ("clean.ply", "refined.ply"):
+            write_in_chunks(tmp_path / name, triangle, {})
+            assert make_table_path(tmp_path / name).exists()
     return tmp_path
 
 
@@ -118,6 +125,19 @@ def test_the_version_of_a_method_is_in_the_key_only_where_it_runs():
 
 def test_parameters_that_suit_no_method_are_left_for_the_stage_to_refuse():
     assert set(versions(stage_named("simplify"), PAIRS, "simplify.method=quadric")) == {"simplify"}
+
+
+def test_a_mesh_that_is_too_large_to_be_refined_has_a_key_of_its_own(large):
+    refine = stage_named("refine")
+    refined = set(versions(refine, MEASURED))
+    assert (
+        refined
+        == set(versions(refine, MEASURED, clean=large))
+        == {"refine", "depth_noise", "clean", "certify"}
+    )
+    assert set(versions(refine, MEASURED, "refine.memory=1", clean=large)) == {"copy"}
+    # The limit concerns chunks only.
+    assert set(versions(refine, MEASURED, "refine.memory=1")) == refined
 
 
 def test_depth_has_the_version_of_views_only_for_views():

@@ -3,6 +3,7 @@
 //! | file | content |
 //! | --- | --- |
 //! | `by_processor` | dispatch of inner loops to the widest SIMD instructions |
+//! | [`components`] | connected components of a graph |
 //! | [`ids`] | typed indices of vertices, halfedges, edges and triangles |
 //! | [`errors`] | errors of the kernels |
 //! | [`geometry`] | vectors, triangles, distances |
@@ -12,6 +13,7 @@
 //! | [`memory_reserve`] | reserved memory for a clean exit when the system is out of memory |
 
 pub(crate) mod by_processor;
+pub mod components;
 pub mod errors;
 pub mod geometry;
 pub mod ids;

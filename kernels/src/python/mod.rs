@@ -8,6 +8,7 @@ mod background_work;
 mod certified;
 mod certify;
 mod color_weight;
+mod components;
 mod compression;
 mod fit;
 mod fusion;
@@ -94,6 +95,7 @@ fn _kernels(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(stereo::compute_weighted_medians, module)?)?;
     module.add_function(wrap_pyfunction!(fit::fit, module)?)?;
     module.add_function(wrap_pyfunction!(order::compute_spatial_order, module)?)?;
+    module.add_function(wrap_pyfunction!(components::label_components, module)?)?;
     module.add_function(wrap_pyfunction!(memory::release_free_memory, module)?)?;
     module.add_class::<atlas::AtlasLayout>()?;
     module.add_function(wrap_pyfunction!(atlas::lay_out_atlas, module)?)?;

@@ -55,7 +55,7 @@ impl SurfaceRefiner {
             let triangles = copy_triangles(&triangles, points.len())?;
             let threads = resolve_thread_count(wanted_threads);
             let refiner =
-                run_detached(py, None, false, |_| Refiner::new(points, &triangles, strength, threads))?;
+                run_detached(py, None, false, |_| Refiner::new(points, triangles, strength, threads))?;
             Ok(Self { inner: Mutex::new(Some(refiner)) })
         })
     }

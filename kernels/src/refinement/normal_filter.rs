@@ -8,7 +8,7 @@
 
 use crate::base::geometry::{Vec3, add_scaled, cross, distance2, dot, norm2, normalize, sub};
 use crate::base::ids::{HalfedgeId, TriangleId, VertexId};
-use crate::base::parallel::collect;
+use crate::base::parallel::{collect, update};
 use crate::mesh::connectivity::Connectivity;
 
 /// Compute the normal of each triangle with twice its area as length.
@@ -36,17 +36,18 @@ pub fn vertex_normals(connectivity: &Connectivity, area_normals: &[Vec3], thread
 pub fn filter_normals(
     connectivity: &Connectivity,
     points: &[Vec3],
-    max_chords: &[f64],
+    max_chords: Vec<f64>,
     iterations: usize,
     threads: usize,
 ) -> Vec<Vec3> {
     let count = connectivity.triangle_slots();
-    let weighted = area_normals(connectivity, points, threads);
+    let mut normals = area_normals(connectivity, points, threads);
+    let areas: Vec<f64> = collect(count, threads, |t| norm2(&normals[t]).sqrt());
+    update(&mut normals, threads, |_, normal| *normal = normalize(normal));
     let centroids = collect(count, threads, |t| centroid(connectivity, points, t));
-    let areas: Vec<f64> = collect(count, threads, |t| norm2(&weighted[t]).sqrt());
-    let mut normals: Vec<Vec3> = collect(count, threads, |t| normalize(&weighted[t]));
     let spacing2 = mean_neighbour_distance2(connectivity, &centroids, threads);
-    let ranges: Vec<f64> = collect(count, threads, |t| 1.0 / (max_chords[t] * max_chords[t]));
+    let mut ranges = max_chords;
+    update(&mut ranges, threads, |_, range| *range = 1.0 / (*range * *range));
     for _ in 0..iterations {
         normals = collect(count, threads, |t| {
             let own = &normals[t];

@@ -14,7 +14,7 @@ use crate::base::geometry::{Vec3, add_scaled, distance2, norm2};
 use crate::base::ids::{TriangleId, VertexId};
 use crate::base::parallel::collect;
 use crate::mesh::connectivity::Connectivity;
-use crate::mesh::triangle_mesh::Mesh;
+use crate::mesh::triangle_mesh::{CompactMesh, Mesh};
 
 /// Edges shorter than this part of the mean length are collapsed.
 const SHORT_EDGE_RATIO: f64 = 0.25;
@@ -104,23 +104,26 @@ impl Refiner {
     /// As [`Mesh::new`].
     pub fn new(
         points: Vec<Vec3>,
-        triangles: &[[u32; 3]],
+        triangles: Vec<[u32; 3]>,
         strength: f64,
         threads: usize,
     ) -> Result<Self, KernelError> {
-        let mut mesh = Mesh::<3>::new_on(threads, points, triangles)?;
+        let mut mesh = Mesh::<3>::new_on(threads, points, &triangles)?;
+        // Large meshes need all memory: nothing is kept longer than it is used.
+        drop(triangles);
         let input_edge = mean_edge(&mesh.connectivity, &mesh.points);
         collapse_short_edges(&mut mesh, SHORT_EDGE_RATIO * input_edge);
-        let compact = mesh.compact();
-        let connectivity =
-            Connectivity::from_triangles_on(threads, compact.points.len(), &compact.triangles)?;
-        let count = compact.points.len();
+        let CompactMesh { points, triangles, vertex_source, .. } = mesh.compact();
+        drop(mesh);
+        let connectivity = Connectivity::from_triangles_on(threads, points.len(), &triangles)?;
+        drop(triangles);
+        let count = points.len();
         let mut refiner = Self {
-            mean_edge: mean_edge(&connectivity, &compact.points),
+            mean_edge: mean_edge(&connectivity, &points),
             connectivity,
-            origins: compact.points.clone(),
-            points: compact.points,
-            vertex_source: compact.vertex_source,
+            origins: points.clone(),
+            points,
+            vertex_source,
             strength,
             threads,
             normals: vec![],
@@ -151,6 +154,7 @@ impl Refiner {
     /// Measure the deviation of each vertex from the observations, and filter the surface.
     pub fn filter(&mut self) {
         self.measure_deviations();
+        self.stop_observing();
         let deviations = &self.deviations;
         let max_chords = collect(self.connectivity.triangle_slots(), self.threads, |t| {
             let corners = self.connectivity.corners(TriangleId::from_index(t));
@@ -160,7 +164,7 @@ impl Refiner {
             chord.clamp(chord_of(MIN_CUTOFF), chord_of(MAX_CUTOFF))
         });
         self.filtered =
-            filter_normals(&self.connectivity, &self.points, &max_chords, FILTER_ITERATIONS, self.threads);
+            filter_normals(&self.connectivity, &self.points, max_chords, FILTER_ITERATIONS, self.threads);
         self.points = fit_vertices(
             &self.connectivity,
             &self.points,
@@ -193,8 +197,11 @@ impl Refiner {
 
     /// Make planar patches planar and their creases straight.
     pub fn flatten(&mut self) {
-        let weighted = area_normals(&self.connectivity, &self.points, self.threads);
-        let areas = collect(weighted.len(), self.threads, |t| 0.5 * norm2(&weighted[t]).sqrt());
+        self.observations = vec![];
+        let areas: Vec<f64> = {
+            let weighted = area_normals(&self.connectivity, &self.points, self.threads);
+            collect(weighted.len(), self.threads, |t| 0.5 * norm2(&weighted[t]).sqrt())
+        };
         let surface = FilteredSurface {
             connectivity: &self.connectivity,
             points: &self.points,
@@ -267,7 +274,12 @@ impl Refiner {
         }
     }
 
+    fn stop_observing(&mut self) {
+        (self.normals, self.observations) = (vec![], vec![]);
+    }
+
     fn start_observing(&mut self) {
+        self.stop_observing();
         let weighted = area_normals(&self.connectivity, &self.points, self.threads);
         self.normals = vertex_normals(&self.connectivity, &weighted, self.threads);
         self.observations = vec![Observation::default(); self.points.len()];

@@ -75,7 +75,7 @@ struct FilteredSheet {
 impl FilteredSheet {
     fn new(connectivity: &Connectivity, points: &[Vec3]) -> Self {
         let chords = vec![0.5; connectivity.triangle_slots()];
-        let normals = filter_normals(connectivity, points, &chords, 15, 1);
+        let normals = filter_normals(connectivity, points, chords, 15, 1);
         let moved = fit_vertices(connectivity, points, &normals, &vec![MAX_MOVE; points.len()], 15, 1);
         let weighted = area_normals(connectivity, &moved, 1);
         Self {
@@ -285,7 +285,7 @@ fn a_refinement_follows_the_measurements_whatever_the_number_of_threads() {
     let triangles: Vec<[u32; 3]> = grid(side).into_iter().map(|[a, b, c]| [a, c, b]).collect();
     let (camera, depth) = (camera(), vec![1.0f32; 80 * 60]);
     let run = |threads: usize| {
-        let mut refiner = Refiner::new(points.clone(), &triangles, 1.0, threads).unwrap();
+        let mut refiner = Refiner::new(points.clone(), triangles.clone(), 1.0, threads).unwrap();
         (0..4).for_each(|_| refiner.observe(frame(&camera, &depth)));
         refiner.filter();
         for _ in 0..2 {

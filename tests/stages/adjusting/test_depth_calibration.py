@@ -116,7 +116,7 @@ def test_the_gradient_by_depth_coefficients_is_that_of_the_cost():
         np.ones(6),
         surfaces=surfaces,
         free=FreeParameters(depth=True),
-        depth_precision=compute_depth_precision(surfaces),
+        depth_precision=compute_depth_precision(surfaces.basis),
     )
     state = AdjustmentState(
         scene.cameras,
