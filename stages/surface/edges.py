@@ -43,7 +43,7 @@ class Edges:
 def build_edges(triangles: Triangles, vertex_count: int) -> Edges:
     """Build the edges of triangles, which must not repeat a vertex."""
     tail = triangles.reshape(-1).astype(np.int64)
-    head = tail[step_to_next_corner(np.arange(len(tail)))]
+    head = tail.reshape(-1, 3)[:, [1, 2, 0]].reshape(-1)
     key = np.minimum(tail, head) * vertex_count + np.maximum(tail, head)
     halfedges = np.argsort(key, kind="stable")
     ordered = key[halfedges]
@@ -61,6 +61,19 @@ def build_edges(triangles: Triangles, vertex_count: int) -> Edges:
         halfedges=halfedges,
         start=start,
     )
+
+
+def make_edge_keys(a: Ids, b: Ids) -> NDArray[np.int64]:
+    """Return one integer per undirected edge; the order is that of the smaller, then of the larger vertex."""
+    return np.asarray(np.minimum(a, b).astype(np.int64) << 32 | np.maximum(a, b).astype(np.int64))
+
+
+def is_known_key(keys: Ids, known: Ids) -> NDArray[np.bool_]:
+    """Return a mask of the keys that occur in the ascending array `known`."""
+    if not len(known):
+        return np.zeros(keys.shape, bool)
+    rows = np.searchsorted(known, keys)
+    return np.asarray(known[np.minimum(rows, len(known) - 1)] == keys)
 
 
 def step_to_next_corner(corner: Ids) -> Ids:

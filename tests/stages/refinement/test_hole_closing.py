@@ -12,10 +12,12 @@ from scanloom.stages import Frame, Mesh, Scan, clean, fuse, refine, topology
 from scanloom.stages.frames.depth_filter import OrientedDepth
 from scanloom.stages.frames.posed_depth import PosedDepth
 from scanloom.stages.fusion.scene_statistics import DepthNoise
+from scanloom.stages.refinement.cap_planes import Planes, divide_cap
 from scanloom.stages.refinement.free_space import FreeSpaceTest
 from scanloom.stages.refinement.hole_closing import ClosedHoles, close_holes
 from scanloom.stages.scans.model.scan import Camera
 from scanloom.stages.surface.formats.ply import read_ply, read_vertex_values, write_ply
+from scanloom.stages.surface.welding import weld_vertices
 from tests.made.posed_scene import BOARD, BOARD_Z, CAMERA, make_posed_scan
 
 EDGE = 0.01  # grid spacing of the made meshes, metres
@@ -139,6 +141,67 @@ def test_a_crease_continues_straight_over_a_hole() -> None:
     sides = np.sign(np.round(found.mesh.vertices[:, 0], 9))[found.mesh.triangles]
     assert (sides.max(axis=1) - sides.min(axis=1)).max() < 2
     assert set(found.plane_ids[found.is_filled].tolist()) == {0, 1}
+
+
+def _make_corner(is_hole: Callable[..., np.ndarray], sign: float) -> tuple[Mesh, np.ndarray]:
+    """Return three walls at right angles that meet in the origin, and the wall of each vertex.
+
+    The walls face the axis (1, 1, 1), or for sign −1 away from it.
+    """
+    wall = _make_grid(20, lambda x, y: np.stack([x + 1, y + 1, 0 * x], axis=1) * 10 * EDGE, _no_hole)
+    walls = [np.roll(wall.vertices, turn, axis=1) for turn in range(3)]
+    count = len(wall.vertices)
+    triangles = np.concatenate([wall.triangles + turn * count for turn in range(3)]).astype(np.int32)
+    joined = weld_vertices(
+        Mesh(np.concatenate(walls).round(12), triangles if sign > 0 else triangles[:, ::-1].copy())
+    )
+    centres = joined.vertices[joined.triangles].mean(axis=1)
+    mesh = clean(joined.with_(triangles=joined.triangles[~is_hole(centres)]), min_island_area=0).mesh
+    return mesh, np.abs(mesh.vertices).argmin(axis=1)
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_three_planes_continue_to_their_corner(sign: float) -> None:
+    mesh, ids = _make_corner(lambda centres: np.linalg.norm(centres, axis=1) < 4.3 * EDGE, sign)
+    assert np.linalg.norm(mesh.vertices, axis=1).min() > 3 * EDGE
+    found = _close(mesh, ids)
+    _require_closed(found.mesh)
+    assert found.hole_count == 1
+    filled = found.mesh.vertices[found.is_filled]
+    assert np.linalg.norm(filled, axis=1).min() < 1e-9
+    # Each vertex is on a wall, those on a crease are on two.
+    heights = np.abs(filled)
+    assert heights.min(axis=1).max() < 1e-9
+    assert (heights < 1e-9).sum(axis=0).min() >= 6
+    assert found.area == pytest.approx(3 * np.pi * (4.3 * EDGE) ** 2 / 4, rel=0.1)
+    # No triangle spans a crease.
+    corners = found.mesh.vertices[found.mesh.triangles]
+    assert (np.abs(corners) < 1e-9).all(axis=1).any(axis=1).all()
+    assert set(found.plane_ids[found.is_filled].tolist()) == {0, 1, 2}
+
+
+@pytest.mark.parametrize(("slope", "is_corner"), [(0.6, True), (3.0, False)])
+def test_only_corners_near_the_hole_are_used(slope: float, is_corner: bool) -> None:
+    """Three planes that meet in a tip in the middle of a round hole."""
+    directions = np.radians((90, 210, 330))
+    tips = np.stack([np.cos(directions), np.sin(directions), np.full(3, 1 / slope)], axis=1)
+    planes = Planes(tips / np.linalg.norm(tips, axis=1, keepdims=True), np.zeros(3))
+    angles = np.radians(np.arange(0, 360, 10))
+    cosines = np.cos(angles[:, None] - directions)
+    rim = np.stack([np.cos(angles), np.sin(angles), -slope * cosines.max(axis=1)], axis=1)
+    divided = divide_cap(rim, cosines.argmax(axis=1), np.full(36, 1e-6), planes, 0.17)
+    if not is_corner:
+        assert divided is None
+        return
+    assert divided is not None
+    assert {section.plane for section in divided.sections} == {0, 1, 2}
+    assert np.abs(divided.points).min(axis=0).max() < 1e-9
+    assert (
+        len(divided.points) == len(divided.point_planes) == 1 + sum(len(one) - 2 for one in divided.creases)
+    )
+    points = np.concatenate([rim, divided.points])
+    for section in divided.sections:
+        assert np.abs(planes.measure_heights(points[section.outline], np.full(1, section.plane))).max() < 1e-6
 
 
 def test_free_space_is_not_filled() -> None:
