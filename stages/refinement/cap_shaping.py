@@ -108,7 +108,8 @@ def shape_caps(
     rim_edges = _find_rim_edges(around)
     parts = _triangulate_sections(around, divided, make_edge_keys(*rim_edges.T))
     points, triangles, patches = [around.points], [], []
-    holes, patch_planes, lengths, crease_planes = [], [], [], []
+    holes: list[int] = []
+    patch_planes, lengths, crease_planes = [], [], []
     count = len(around.points)
     for hole, (loop, cap, division) in enumerate(zip(around.loops, found, divided, strict=True)):
         if division is None or (len(division.sections) > 1 and hole not in parts):

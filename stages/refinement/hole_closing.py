@@ -30,8 +30,6 @@ from scanloom.stages.surface.topology import compute_areas
 _DEFAULT_LENGTH_EDGES = 20.0
 # A measurement that is so many edge lengths behind a cap proves free space.
 _FREE_SPACE_EDGES = 2.0
-# Maximum part of a cap in free space: single wrong measurements do not keep a large hole open.
-_MAX_FREE_RATIO = 0.05
 # Deviation of the vertices of a cap relative to the median: as for vertices that no frame measured.
 _FILLED_DEVIATION_RATIO = 3.0
 
@@ -99,11 +97,7 @@ def close_holes(
     )
     if tested.any():
         show_frames(test)
-    counts, free_counts = (
-        np.bincount(rows, minlength=len(found))
-        for rows in (samples.holes, samples.holes[tested][test.is_free])
-    )
-    is_kept &= free_counts <= _MAX_FREE_RATIO * counts
+    is_kept[samples.holes[tested][test.is_free]] = False
     return _append_caps(unchanged, caps, is_kept) if is_kept.any() else unchanged
 
 

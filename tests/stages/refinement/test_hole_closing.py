@@ -69,12 +69,16 @@ def _close(
     return close_holes(mesh, ids, np.full(len(ids), 0.0005), NOISE, show, max_length)
 
 
-def _look_down(depth: float) -> PosedDepth:
-    """Return a frame 1 m above the origin that looks down and measures the same depth everywhere."""
+def _look_down(depth: float, size: int = 64) -> PosedDepth:
+    """Return a frame 1 m above the origin that looks down.
+
+    It measures the same depth at size² pixels in the middle of the image, and none around them.
+    """
     camera = Camera(64, 64, 100.0, 100.0, 31.5, 31.5)
     pose = np.diag((1.0, -1.0, -1.0, 1.0))
     pose[2, 3] = 1.0
-    image = np.full((64, 64), depth, np.float32)
+    image = np.zeros((64, 64), np.float32)
+    image[32 - size // 2 :, 32 - size // 2 :][:size, :size] = depth
     return PosedDepth(OrientedDepth(image, (image,) * 3, image), camera, pose, image.size)
 
 
@@ -213,6 +217,13 @@ def test_free_space_is_not_filled() -> None:
     # A surface at the cap, in front of it, or no depth is no evidence against it.
     for depth in (1.0, 0.5, 0.0):
         assert _close(wall, None, 1.0, _look_down(depth)).hole_count == 1
+
+
+def test_a_single_wrong_measurement_keeps_no_hole_open() -> None:
+    wall = _make_grid(40, _make_wall, _is_round_hole)
+    for count, size, hole_count in ((1, 1, 1), (1, 2, 1), (1, 3, 0), (2, 1, 0), (2, 2, 0)):
+        views = [_look_down(1.5, size)] * count
+        assert _close(wall, None, 1.0, *views, _look_down(1.0)).hole_count == hole_count
 
 
 def test_only_holes_within_the_limit_are_filled() -> None:
