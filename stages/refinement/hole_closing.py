@@ -10,13 +10,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from scanloom.stages.fusion.scene_statistics import DepthNoise
 from scanloom.stages.refinement.cap_checks import find_contacts, find_folded, sample_caps
-from scanloom.stages.refinement.cap_fairing import interpolate_values
 from scanloom.stages.refinement.cap_planes import fit_planes
 from scanloom.stages.refinement.cap_remeshing import Floats
 from scanloom.stages.refinement.cap_shaping import Caps, select_surroundings, shape_caps
@@ -34,25 +34,49 @@ _FREE_SPACE_EDGES = 2.0
 _FILLED_DEVIATION_RATIO = 3.0
 
 
+@dataclass(frozen=True)
+class Filling:
+    """Filling of a hole.
+
+    Attributes
+    ----------
+    area : area, m².
+    border_length : length of the border, metres.
+    center : centre of gravity, metres.
+    """
+
+    area: float
+    border_length: float
+    center: tuple[float, float, float]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return a JSON-ready dictionary, with units in the keys."""
+        return {"area_m2": self.area, "border_m": self.border_length, "point_m": list(self.center)}
+
+
 @dataclass(frozen=True, eq=False)
 class ClosedHoles:
     """Mesh with closed holes.
 
     Attributes
     ----------
-    mesh : vertices and triangles of the caps follow those of the input.
+    mesh : vertices and triangles of the caps follow those of the input. New vertices are black; see
+        `color_fillings`.
     is_filled : (n,) True for the vertices of caps.
     deviations, plane_ids : (n,) as in `RefinementResult`.
-    hole_count : number of closed holes.
-    area : area of their caps, m².
+    fillings : of each closed hole, the largest first.
     """
 
     mesh: Mesh
     is_filled: NDArray[np.bool_]
     deviations: Floats
     plane_ids: NDArray[np.int32]
-    hole_count: int
-    area: float
+    fillings: tuple[Filling, ...] = ()
+
+    @property
+    def area(self) -> float:
+        """Total area of the fillings, m²."""
+        return sum(filling.area for filling in self.fillings)
 
 
 def close_holes(
@@ -73,7 +97,7 @@ def close_holes(
     max_length : maximum length of the border of a hole, metres; None for 20 mean edge lengths.
     """
     edges = build_edges(mesh.triangles, len(mesh.vertices))
-    unchanged = ClosedHoles(mesh, np.zeros(len(mesh.vertices), bool), deviations, plane_ids, 0, 0.0)
+    unchanged = ClosedHoles(mesh, np.zeros(len(mesh.vertices), bool), deviations, plane_ids)
     if not len(edges.ends):
         return unchanged
     x, y, z = (axis[edges.ends[:, 1]] - axis[edges.ends[:, 0]] for axis in mesh.vertices.T)
@@ -102,7 +126,7 @@ def close_holes(
 
 
 def _append_caps(given: ClosedHoles, caps: Caps, is_kept: NDArray[np.bool_]) -> ClosedHoles:
-    """Append the kept caps to the mesh, with colours from the rim."""
+    """Append the kept caps to the mesh."""
     cap_mesh, mesh = caps.cap_mesh, given.mesh
     own = cap_mesh.triangles[is_kept[cap_mesh.holes[cap_mesh.patches]]]
     used = np.zeros(len(cap_mesh.points), bool)
@@ -113,11 +137,8 @@ def _append_caps(given: ClosedHoles, caps: Caps, is_kept: NDArray[np.bool_]) -> 
     number[:count] = caps.around.vertices
     number[new] = len(mesh.vertices) + np.arange(len(new))
     colors = mesh.colors
-    if colors is not None and len(new):
-        padded = np.zeros((len(cap_mesh.points), 3), np.uint8)
-        padded[:count] = colors[caps.around.vertices]
-        values = interpolate_values(cap_mesh.points, own, new, padded)
-        colors = np.concatenate([colors, np.rint(values).clip(0, 255).astype(np.uint8)])
+    if colors is not None:
+        colors = np.concatenate([colors, np.zeros((len(new), 3), np.uint8)])
     filled = np.full(len(new), _FILLED_DEVIATION_RATIO * float(np.median(given.deviations)))
     return ClosedHoles(
         mesh=Mesh(
@@ -129,6 +150,22 @@ def _append_caps(given: ClosedHoles, caps: Caps, is_kept: NDArray[np.bool_]) -> 
         is_filled=np.concatenate([given.is_filled, np.ones(len(new), bool)]),
         deviations=np.concatenate([given.deviations, filled]),
         plane_ids=np.concatenate([given.plane_ids, caps.label_planes()[new].astype(np.int32)]),
-        hole_count=int(np.count_nonzero(is_kept)),
-        area=float(compute_areas(cap_mesh.points, own).sum()),
+        fillings=_list_fillings(caps, is_kept),
     )
+
+
+def _list_fillings(caps: Caps, is_kept: NDArray[np.bool_]) -> tuple[Filling, ...]:
+    """List the kept caps, the largest first."""
+    cap_mesh, count = caps.cap_mesh, len(is_kept)
+    holes = cap_mesh.holes[cap_mesh.patches]
+    areas = compute_areas(cap_mesh.points, cap_mesh.triangles)
+    centers = cap_mesh.points[cap_mesh.triangles].mean(axis=1)
+    totals = np.bincount(holes, areas, count)
+    moments = np.stack([np.bincount(holes, areas * axis, count) for axis in centers.T], axis=1)
+    fillings = []
+    for hole in np.flatnonzero(is_kept)[np.argsort(-totals[is_kept], kind="stable")].tolist():
+        rim = caps.around.points[caps.around.loops[hole]]
+        length = float(np.linalg.norm(np.roll(rim, -1, axis=0) - rim, axis=1).sum())
+        x, y, z = (moments[hole] / totals[hole]).tolist()
+        fillings.append(Filling(float(totals[hole]), length, (x, y, z)))
+    return tuple(fillings)

@@ -13,6 +13,7 @@ from scanloom.stages.frames.depth_filter import OrientedDepth
 from scanloom.stages.frames.posed_depth import PosedDepth
 from scanloom.stages.fusion.scene_statistics import DepthNoise
 from scanloom.stages.refinement.cap_planes import Planes, divide_cap
+from scanloom.stages.refinement.filling_colors import color_fillings
 from scanloom.stages.refinement.free_space import FreeSpaceTest
 from scanloom.stages.refinement.hole_closing import ClosedHoles, close_holes
 from scanloom.stages.scans.model.scan import Camera
@@ -95,15 +96,20 @@ def test_a_hole_in_a_wall_is_filled_flat() -> None:
     colors = np.tile(np.array([[200, 100, 50]], np.uint8), (len(wall.vertices), 1))
     found = _close(wall.with_(colors=colors), np.zeros(len(wall.vertices)))
     _require_closed(found.mesh)
-    assert found.hole_count == 1
+    assert len(found.fillings) == 1
     assert found.area == pytest.approx(np.pi * (4 * EDGE) ** 2, rel=0.15)
     assert np.abs(found.mesh.vertices[:, 2]).max() < 1e-12
     assert found.is_filled.sum() > 20
     assert not found.is_filled[: len(wall.vertices)].any()
     assert (found.plane_ids == 0).all()
     assert (found.deviations[found.is_filled] > 0.0005).all()
-    assert found.mesh.colors is not None
-    assert (found.mesh.colors == colors[0]).all()
+    (filling,) = found.fillings
+    assert filling.area == found.area
+    assert filling.border_length == pytest.approx(2 * np.pi * 4 * EDGE, rel=0.3)
+    assert np.linalg.norm(filling.center) < 0.2 * EDGE
+    filled_colors = color_fillings(found.mesh, found.is_filled, [])
+    assert filled_colors is not None
+    assert (filled_colors == colors[0]).all()
 
 
 def test_the_mark_is_written_and_no_cause_for_a_warning(tmp_path: Path) -> None:
@@ -170,7 +176,7 @@ def test_three_planes_continue_to_their_corner(sign: float) -> None:
     assert np.linalg.norm(mesh.vertices, axis=1).min() > 3 * EDGE
     found = _close(mesh, ids)
     _require_closed(found.mesh)
-    assert found.hole_count == 1
+    assert len(found.fillings) == 1
     filled = found.mesh.vertices[found.is_filled]
     assert np.linalg.norm(filled, axis=1).min() < 1e-9
     # Each vertex is on a wall, those on a crease are on two.
@@ -211,28 +217,28 @@ def test_only_corners_near_the_hole_are_used(slope: float, is_corner: bool) -> N
 def test_free_space_is_not_filled() -> None:
     wall = _make_grid(40, _make_wall, _is_round_hole)
     behind = _close(wall, None, 1.0, _look_down(1.0), _look_down(1.5))
-    assert behind.hole_count == 0
+    assert len(behind.fillings) == 0
     assert behind.mesh is wall
     assert not behind.is_filled.any()
     # A surface at the cap, in front of it, or no depth is no evidence against it.
     for depth in (1.0, 0.5, 0.0):
-        assert _close(wall, None, 1.0, _look_down(depth)).hole_count == 1
+        assert len(_close(wall, None, 1.0, _look_down(depth)).fillings) == 1
 
 
 def test_a_single_wrong_measurement_keeps_no_hole_open() -> None:
     wall = _make_grid(40, _make_wall, _is_round_hole)
     for count, size, hole_count in ((1, 1, 1), (1, 2, 1), (1, 3, 0), (2, 1, 0), (2, 2, 0)):
         views = [_look_down(1.5, size)] * count
-        assert _close(wall, None, 1.0, *views, _look_down(1.0)).hole_count == hole_count
+        assert len(_close(wall, None, 1.0, *views, _look_down(1.0)).fillings) == hole_count
 
 
 def test_only_holes_within_the_limit_are_filled() -> None:
     wall = _make_grid(
         40, _make_wall, lambda x, y: _is_round_hole(x + 0.5, y, 0.1) | _is_round_hole(x - 0.4, y, 0.3)
     )
-    assert [_close(wall, None, limit).hole_count for limit in (0.0, 0.1, 0.2, 0.6)] == [0, 0, 1, 2]
+    assert [len(_close(wall, None, limit).fillings) for limit in (0.0, 0.1, 0.2, 0.6)] == [0, 0, 1, 2]
     # 20 mean edge lengths.
-    assert _close(wall, None, None).hole_count == 1
+    assert len(_close(wall, None, None).fillings) == 1
 
 
 def test_a_mesh_without_holes_stays_as_it_is() -> None:
@@ -251,7 +257,7 @@ def test_a_cap_does_not_touch_other_surface() -> None:
         np.concatenate([wall.vertices, post.vertices]),
         np.concatenate([wall.triangles, post.triangles + np.int32(len(wall.vertices))]),
     )
-    assert _close(both).hole_count == 0
+    assert len(_close(both).fillings) == 0
 
 
 def _no_hole(x: np.ndarray, y: np.ndarray) -> np.ndarray:
@@ -274,8 +280,8 @@ def test_random_holes_leave_an_oriented_manifold(seed: int) -> None:
     ids = np.where(mesh.vertices[:, 0] < 0, 0, 1) if seed % 3 < 2 else None
     found = _close(mesh, ids, 2.0)
     before = topology(mesh)
-    _require_closed(found.mesh, before.boundary_loops - found.hole_count)
-    assert found.hole_count > 3
+    _require_closed(found.mesh, before.boundary_loops - len(found.fillings))
+    assert len(found.fillings) > 3
     again = _close(mesh, ids, 2.0)
     assert np.array_equal(found.mesh.vertices, again.mesh.vertices)
     assert np.array_equal(found.mesh.triangles, again.mesh.triangles)
@@ -310,6 +316,12 @@ def test_refine_fills_what_no_frame_has_seen() -> None:
     metrics = filled.to_dict()
     assert metrics["filled_holes"] >= 1
     assert metrics["filled_area_m2"] > 0.001
+    largest = metrics["largest_fillings"]
+    assert sum(one["area_m2"] for one in largest) <= metrics["filled_area_m2"] + 1e-12
+    assert min(np.linalg.norm(np.array(one["point_m"]) - centre) for one in largest) < 0.02
+    assert filled.mesh.colors is not None
+    # Black would be no colour of the board.
+    assert filled.mesh.colors[filled.is_filled].min() > 0
     assert len(filled.is_filled) == len(filled.deviations) == len(filled.plane_ids) == metrics["vertices"]
     kept = refine(fused, scan, fill_holes=0)
     assert not kept.is_filled.any()
