@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from scanloom.pipeline.artifacts.mesh_file import MeshFile
 from scanloom.pipeline.artifacts.posed_frames import PosedFrames
@@ -30,7 +31,10 @@ from scanloom.stages.inspecting.libraries import list_installed_versions
 from scanloom.stages.refinement.params import RefineParams
 from scanloom.stages.refinement.refine import refine
 from scanloom.stages.surface.chunked_ply import make_table_path
-from scanloom.stages.surface.formats.ply import write_ply
+from scanloom.stages.surface.formats.ply import read_vertex_values, write_ply
+
+# Vertex property of refined.ply, 1 inside of filled holes.
+FILLED_PROPERTY = "filled"
 
 
 @dataclass(frozen=True)
@@ -39,6 +43,11 @@ class RefinedMesh(MeshFile):
 
     NAME = "refined_mesh"
     FILE = "refined.ply"
+
+    def load_filled(self) -> NDArray[np.bool_] | None:
+        """Load the mask (n,) of the vertices inside of filled holes; None if the mesh was not refined."""
+        values = None if self.is_large else read_vertex_values(self.path, FILLED_PROPERTY)
+        return None if values is None else values > 0
 
 
 def is_refined_mesh_large(known: Mapping[str, Any]) -> bool:
@@ -61,7 +70,7 @@ def _run(inputs: RefineInputs, params: RefineParams, context: Context) -> Mappin
     if inputs.clean_mesh.is_large:
         return _copy_large_mesh(inputs.clean_mesh, result)
     refined = refine(inputs.clean_mesh.load(), inputs.load_posed(), params, progress=context.progress)
-    values = {"deviation": refined.deviations, "filled": refined.is_filled.astype(np.float64)}
+    values = {"deviation": refined.deviations, FILLED_PROPERTY: refined.is_filled.astype(np.float64)}
     write_ply(result, refined.mesh, vertex_values=values)
     metrics = refined.to_dict()
     warn_skipped_frames(metrics["frames_skipped"])
