@@ -14,8 +14,15 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from scanloom.pipeline.evaluation.camera_photos import write_photos
+from scanloom.pipeline.evaluation.filled_surface import (
+    FILLED_CAPTION,
+    FILLED_PICTURE,
+    choose_filled_viewpoint,
+    mark_filled_surface,
+)
 from scanloom.pipeline.evaluation.params import ReportParams
 from scanloom.pipeline.evaluation.stored_deviations import write_deviations
 from scanloom.stages.comparing.chunked_comparison import compare_chunked
@@ -24,6 +31,7 @@ from scanloom.stages.comparing.deviations import DeviationParams, Deviations, me
 from scanloom.stages.comparing.distance_map import paint_distances
 from scanloom.stages.comparing.needle_search import NeedleSafeSurface
 from scanloom.stages.progress import Progress, ignore_progress
+from scanloom.stages.rendering.annotations import draw_caption
 from scanloom.stages.rendering.chunked_rendering import draw_chunked
 from scanloom.stages.rendering.render import RenderModel, Viewpoint, viewpoints, write_png
 from scanloom.stages.rendering.viewpoints import MAX_FRAMED_POINTS, choose_viewpoints_around
@@ -35,7 +43,7 @@ from scanloom.stages.surface.mesh import Mesh
 from scanloom.stages.surface.raycasting import Floats, RaycastingSurface, compute_bounding_box
 from scanloom.stages.surface.topology import require_area, topology
 
-RESULT_VERSION = 7
+RESULT_VERSION = 8
 
 # Number of samples for signed deviations.
 SIGNED_SAMPLES = 100_000
@@ -50,6 +58,7 @@ def measure_and_draw(
     progress: Progress = ignore_progress,
     color_by_photo: Callable[[], Mesh] | None = None,
     held_out: Sequence[Frame] = (),
+    is_filled: NDArray[np.bool_] | None = None,
 ) -> dict[str, Any]:
     """Measure the simplified mesh, draw all meshes into `folder`, and return metrics.
 
@@ -62,6 +71,8 @@ def measure_and_draw(
     color_by_photo : returns the textured mesh with a colour per photo, for an additional picture. Each face
         is coloured by the photo with the largest weight.
     held_out : held-out frames with corrected poses.
+    is_filled : (n,) True for the vertices of the refined mesh inside of filled holes, which get an additional
+        picture. None if the refined mesh is chunked.
 
     Raises
     ------
@@ -94,6 +105,8 @@ def measure_and_draw(
         chosen = choose_viewpoints(meshes["fused"], frames, params)
         drawings += (_ChunkedDrawing(name, one, chosen, box) for name, one in large.items())
         drawings += _list_drawings(models, chosen, color_by_photo)
+        if is_filled is not None and is_filled.any():
+            drawings.append(_make_filled_drawing(models["refined"], small["refined"], is_filled, chosen))
     tasks += [partial(one.draw, folder) for one in drawings]
     # Chunked meshes are processed one at a time to save memory.
     threads = 1 if large else get_worker_count()
@@ -230,6 +243,7 @@ class _Drawing(NamedTuple):
     model: Callable[[], RenderModel]
     viewpoint: Viewpoint
     with_triangles: str | None = None
+    caption: str = ""
 
     @property
     def files(self) -> list[str]:
@@ -237,7 +251,7 @@ class _Drawing(NamedTuple):
 
     def draw(self, folder: Path) -> None:
         image = self.model().draw(self.viewpoint)
-        write_png(folder / self.file, image)
+        write_png(folder / self.file, draw_caption(image, self.caption) if self.caption else image)
         if self.with_triangles is not None:
             both = np.hstack([image, self.model().draw(self.viewpoint, "edges")])
             write_png(folder / self.with_triangles, both)
@@ -286,6 +300,21 @@ def _list_drawings(
                 )
             )
     return drawings
+
+
+def _make_filled_drawing(
+    model: Callable[[], RenderModel],
+    refined: Mesh,
+    is_filled: NDArray[np.bool_],
+    viewpoint_list: Sequence[Viewpoint],
+) -> _Drawing:
+    """Return the picture `refined-filled.png`: the refined mesh with its filled holes in a signal colour."""
+    return _Drawing(
+        FILLED_PICTURE,
+        partial(_recolor_model, model, partial(mark_filled_surface, refined, is_filled)),
+        choose_filled_viewpoint(refined, is_filled, viewpoint_list),
+        caption=FILLED_CAPTION,
+    )
 
 
 def _recolor_model(model: Callable[[], RenderModel], colors: Callable[[], Mesh]) -> RenderModel:

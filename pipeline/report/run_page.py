@@ -30,6 +30,7 @@ from scanloom.pipeline.report.page.packing import (
 from scanloom.pipeline.report.page_cameras import convert_parse_errors, read_cameras
 from scanloom.pipeline.report.page_colormaps import make_deviation_colormap, make_photo_count_colormap
 from scanloom.pipeline.report.page_coverage import read_coverage
+from scanloom.pipeline.report.page_fillings import make_fillings_table, read_filled_colormap
 from scanloom.pipeline.report.report_summary import (
     get_nested,
     list_skipped_frames,
@@ -90,11 +91,18 @@ def make_run_page(folder: Path, max_bytes: int) -> bytes:
             )
         else:
             refined = stages.read_mesh(folder / "refined.ply").with_(up=result.up)
-            models["refined mesh"] = PageModelSource(refined, "before simplification")
+            filled = read_filled_colormap(folder / "refined.ply", refined)
+            models["refined mesh"] = PageModelSource(
+                refined, "before simplification", colormaps={} if filled is None else {"filled holes": filled}
+            )
         stored = _load_deviations(folder / PICTURES, refined, result)
+    away = _FLY_DISTANCE_RATIO * _compute_size(result)
+    with convert_parse_errors(folder / REPORT):
+        fillings = make_fillings_table(report, rotation, away, is_metric=is_metric)
+    if fillings is not None:
+        report_data["tables"] = [fillings, *report_data.get("tables", ())]
     if stored is not None:
         bound, proven = _read_bounds(folder / REPORT, report)
-        away = _FLY_DISTANCE_RATIO * _compute_size(result)
         with convert_parse_errors(folder / PICTURES / FIGURES):
             colormaps["deviation"] = make_deviation_colormap(stored, bound, is_metric=is_metric)
             targets = [

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from scanloom.pipeline.artifacts.mesh_file import MeshFile
 from scanloom.pipeline.artifacts.posed_frames import PosedFrames
@@ -35,6 +36,7 @@ from scanloom.stages.refinement.refine import estimate_memory, refine
 from scanloom.stages.surface.chunk_partition import write_in_chunks
 from scanloom.stages.surface.chunked_ply import ChunkedPly, make_table_path
 from scanloom.stages.surface.codes import FUSE_TOO_LARGE
+from scanloom.stages.surface.formats.ply import read_vertex_values
 from scanloom.stages.surface.mesh import Mesh
 
 
@@ -57,8 +59,8 @@ class RefineSection(RefineParams):
         return estimate_memory(triangles) <= self.memory * 1e6
 
 
-# Vertex property of the standard deviation.
-DEVIATION = "deviation"
+# Vertex properties of refined.ply: standard deviation along the normal; 1 inside of filled holes.
+DEVIATION_PROPERTY, FILLED_PROPERTY = "deviation", "filled"
 
 
 @dataclass(frozen=True)
@@ -67,6 +69,11 @@ class RefinedMesh(MeshFile):
 
     NAME = "refined_mesh"
     FILE = "refined.ply"
+
+    def load_filled(self) -> NDArray[np.bool_] | None:
+        """Load the mask (n,) of the vertices inside of filled holes; None if the mesh was not refined."""
+        values = None if self.is_large else read_vertex_values(self.path, FILLED_PROPERTY)
+        return None if values is None else values > 0
 
 
 def is_refined_mesh_large(known: Mapping[str, Any]) -> bool:
@@ -90,8 +97,8 @@ def _run(inputs: RefineInputs, params: RefineSection, context: Context) -> Mappi
         return _copy_mesh(inputs.clean_mesh, result, params)
     refined = refine(_load_mesh(inputs.clean_mesh), inputs.load_posed(), params, progress=context.progress)
     values = {
-        DEVIATION: refined.deviations.astype(np.float32),
-        "filled": refined.is_filled.astype(np.float32),
+        DEVIATION_PROPERTY: refined.deviations.astype(np.float32),
+        FILLED_PROPERTY: refined.is_filled.astype(np.float32),
     }
     write_in_chunks(result, refined.mesh, values)
     metrics = refined.to_dict()

@@ -70,7 +70,15 @@ def _run(inputs: ReportInputs, params: ReportParams, context: Context) -> Mappin
     frames = inputs.load_posed().frames
     others = _load_held_out(inputs, context.config)
     report = measurements.measure_and_draw(
-        pictures, meshes, frames, compared, params, context.progress, by_photo, others
+        pictures,
+        meshes,
+        frames,
+        compared,
+        params,
+        context.progress,
+        by_photo,
+        others,
+        inputs.refined_mesh.load_filled(),
     )
     drawn_in = pictures if params.pictures else None
     if inputs.normal_mesh is not None:

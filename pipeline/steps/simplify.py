@@ -16,7 +16,7 @@ from scanloom.pipeline.cost_model import MAX_BYTES_IN_CHUNKS, CostModel
 from scanloom.pipeline.result_versions import collect_result_versions
 from scanloom.pipeline.sections import Sections
 from scanloom.pipeline.stage import Context, Stage
-from scanloom.pipeline.steps.refine import DEVIATION, RefinedMesh, is_refined_mesh_large
+from scanloom.pipeline.steps.refine import DEVIATION_PROPERTY, RefinedMesh, is_refined_mesh_large
 from scanloom.stages.comparing.certify import certify
 from scanloom.stages.comparing.compare import compare_surfaces
 from scanloom.stages.diagnostics.errors import UsageError
@@ -109,7 +109,7 @@ def _load_deviations(refined: RefinedMesh, mesh: Mesh) -> NDArray[np.float64] | 
 
     Returns None if no edge has a length.
     """
-    deviations = read_vertex_values(refined.path, DEVIATION)
+    deviations = read_vertex_values(refined.path, DEVIATION_PROPERTY)
     if deviations is not None and deviations.any():
         return deviations
     corners = mesh.vertices[mesh.triangles]

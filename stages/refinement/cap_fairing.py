@@ -18,7 +18,7 @@ from scanloom.stages.surface.edges import Ids, step_to_next_corner
 _MAX_COTANGENT = 57.0
 
 
-def interpolate_values(points: Floats, triangles: Ids, free: Ids, values: Floats) -> Floats:
+def interpolate_values(points: Floats, triangles: Ids, free: Ids, values: NDArray[Any]) -> Floats:
     """Interpolate values of free vertices from the others; none exceeds the range of its rim.
 
     Parameters

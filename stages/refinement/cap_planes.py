@@ -48,14 +48,29 @@ class Section(NamedTuple):
     Attributes
     ----------
     plane : its plane; −1 for a cap that is not planar.
-    start, end : positions in the loop of its first and last rim vertex.
-    crease : (c, 3) points of the crease from `end` back to `start`, without these; metres.
+    outline : (k,) vertices around the section: positions in the loop, then, counted from the length of the
+        loop, positions in `DividedCap.points`.
     """
 
     plane: int
-    start: int
-    end: int
-    crease: Floats
+    outline: Ids
+
+
+class DividedCap(NamedTuple):
+    """Cap divided by the creases of the planes around it.
+
+    Attributes
+    ----------
+    sections : one per plane.
+    creases : (k,) vertices of each crease with both ends, numbered as in `Section.outline`.
+    points : (c, 3) points of the creases inside of the hole, metres.
+    point_planes : (c,) plane of each point.
+    """
+
+    sections: list[Section]
+    creases: list[Ids]
+    points: Floats
+    point_planes: Ids
 
 
 def fit_planes(vertices: Floats, plane_ids: Ids, plane_count: int) -> Planes:
@@ -83,56 +98,125 @@ def _sum_by(labels: Ids, values: Floats, count: int) -> Floats:
 
 def divide_cap(
     rim: Floats, plane_ids: Ids, tolerances: Floats, planes: Planes, edge_length: float
-) -> list[Section]:
-    """Divide a cap into the planes around it: one plane, or two that meet in a straight crease.
+) -> DividedCap | None:
+    """Divide a cap into the planes around it.
+
+    These are one plane, two planes that meet in a straight crease, or three planes that meet in a corner.
 
     Parameters
     ----------
     rim : (n, 3) vertices of the loop, metres.
     plane_ids : (n,) plane of each vertex, −1 for none.
     tolerances : (n,) maximum distance of each vertex from its plane, metres.
-    edge_length : distance of vertices on the crease, metres.
+    edge_length : distance of vertices on the creases, metres.
 
     Returns
     -------
-    Empty if the rim is not on one or two planes.
+    None if the rim is not on such planes.
     """
     candidates = np.unique(plane_ids[plane_ids >= 0])
     if not len(candidates) or (plane_ids >= 0).mean() < _MIN_LABELLED_RATIO:
-        return []
+        return None
     heights = np.abs(rim @ planes.normals[candidates].T - planes.offsets[candidates])
     is_near = heights <= tolerances[:, None]
     for number in np.argsort(-is_near.sum(axis=0), kind="stable"):
         if is_near[:, number].all():
-            return [Section(int(candidates[number]), 0, len(rim) - 1, np.empty((0, 3)))]
+            return keep_whole(len(rim), int(candidates[number]))
     if not is_near.any(axis=1).all():
-        return []
+        return None
     # A vertex near several planes is on their crease, and belongs to any of them.
     clear = np.flatnonzero(is_near.sum(axis=1) == 1)
-    if len(clear) < 2:
-        return []
     labels = candidates[is_near[clear].argmax(axis=1)]
     changes = np.flatnonzero(labels != np.roll(labels, -1))
-    if len(changes) != 2:
-        return []
-    pair = labels[changes]
-    line = _intersect_planes(planes, pair)
-    if line is None:
-        return []
-    ends = []
-    for change in changes:
+    if len(changes) not in (2, 3):
+        return None
+    around = labels[changes]
+    lines, ends = [], []
+    for change, pair in zip(changes, np.stack([around, np.roll(around, -1)], axis=1), strict=True):
+        line = _intersect_planes(planes, pair)
+        if line is None:
+            return None
         last, first = int(clear[change]), int(clear[(change + 1) % len(clear)])
         between = np.arange(last, first + 1 + (len(rim) if first < last else 0)) % len(rim)
         distances = _measure_distances(rim[between], line)
         if distances.min() > _MAX_CREASE_EDGES * edge_length:
-            return []
+            return None
+        lines.append(line)
         ends.append(int(between[distances.argmin()]))
+    if len(set(ends)) < len(ends):
+        return None
+    if len(ends) == 2:
+        return _divide_at_crease(rim, around, ends, lines[0], edge_length)
+    return _divide_at_corner(rim, around, ends, lines, planes, edge_length)
+
+
+def keep_whole(rim_length: int, plane: int = -1) -> DividedCap:
+    """Return a cap of a single section."""
+    return DividedCap([Section(plane, np.arange(rim_length))], [], np.empty((0, 3)), np.empty(0, np.int64))
+
+
+def _divide_at_crease(
+    rim: Floats, around: Ids, ends: list[int], line: tuple[Floats, Floats], edge_length: float
+) -> DividedCap:
+    """Divide a cap into two planes.
+
+    Parameters
+    ----------
+    around : (2,) planes along the rim; the rim is on the second one from the first of `ends` on.
+    ends : positions in the rim where the crease ends.
+    """
     first, second = ends
-    if first == second:
-        return []
-    crease = _divide_line(rim[first], rim[second], line, edge_length)
-    # After the first change of planes, the rim is on the second plane.
-    return [Section(int(pair[1]), first, second, crease[::-1]), Section(int(pair[0]), second, first, crease)]
+    points = _divide_line(rim[first], rim[second], line, edge_length)
+    crease = np.concatenate([[first], len(rim) + np.arange(len(points)), [second]])
+    sections = [
+        Section(int(around[1]), np.concatenate([_walk(rim, first, second), crease[-2:0:-1]])),
+        Section(int(around[0]), np.concatenate([_walk(rim, second, first), crease[1:-1]])),
+    ]
+    return DividedCap(sections, [crease], points, np.full(len(points), around[1]))
+
+
+def _divide_at_corner(
+    rim: Floats,
+    around: Ids,
+    ends: list[int],
+    lines: list[tuple[Floats, Floats]],
+    planes: Planes,
+    edge_length: float,
+) -> DividedCap | None:
+    """Divide a cap into three planes that meet in a point; None if the point is far from the hole.
+
+    Parameters
+    ----------
+    around : (3,) planes along the rim. From `ends[k]` on, the rim is on plane k + 1.
+    ends : positions in the rim where the creases start.
+    lines : creases of plane k and k + 1.
+    """
+    normals = planes.normals[around]
+    if abs(np.linalg.det(normals)) < _MIN_SINE**2:
+        return None
+    corner = np.asarray(np.linalg.solve(normals, planes.offsets[around]), np.float64)
+    centre = rim.mean(axis=0)
+    if np.linalg.norm(corner - centre) > np.linalg.norm(rim - centre, axis=1).max():
+        return None
+    points, creases, count = [corner[None]], [], 1
+    for start, line in zip(ends, lines, strict=True):
+        one = _divide_line(rim[start], corner, line, edge_length)
+        creases.append(np.concatenate([[start], len(rim) + count + np.arange(len(one)), [len(rim)]]))
+        points.append(one)
+        count += len(one)
+    sections = []
+    for k in range(3):
+        following = (k + 1) % 3
+        walk = _walk(rim, ends[k], ends[following])
+        outline = np.concatenate([walk, creases[following][1:], creases[k][-2:0:-1]])
+        sections.append(Section(int(around[following]), outline))
+    labels = np.repeat(np.concatenate([around[:1], around]), [len(one) for one in points])
+    return DividedCap(sections, creases, np.concatenate(points), labels)
+
+
+def _walk(rim: Floats, start: int, end: int) -> Ids:
+    """Return the positions in a rim from one to another, with both."""
+    return np.arange(start, end + 1 + (len(rim) if end < start else 0)) % len(rim)
 
 
 def _intersect_planes(planes: Planes, pair: Ids) -> tuple[Floats, Floats] | None:

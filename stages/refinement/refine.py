@@ -8,7 +8,7 @@ A fused surface has the noise of the sensor, and lies slightly inside of convex 
 3. Move the filtered surface to the depth measurements, by a smooth correction along the normals.
 4. Make patches planar that are planar within the standard deviation, with straight creases between them.
 5. Remove flaps: narrow surface that no frame has measured from the front; and smooth the boundary.
-6. Close small holes by continuing the surface, where no frame has seen free space.
+6. Close small holes where no frame has seen free space: continue the surface, with the colours of the photos.
 """
 
 from __future__ import annotations
@@ -37,8 +37,9 @@ from scanloom.stages.printing import format_by_metrics, render_table
 from scanloom.stages.progress import Progress, ignore_progress
 from scanloom.stages.refinement.codes import REFINE_DATA_LEFT_OUT
 from scanloom.stages.refinement.depth_frames import MAX_KEPT_BYTES, DepthFrames
+from scanloom.stages.refinement.filling_colors import color_fillings
 from scanloom.stages.refinement.flaps import mask_flaps
-from scanloom.stages.refinement.hole_closing import close_holes
+from scanloom.stages.refinement.hole_closing import Filling, close_holes
 from scanloom.stages.refinement.params import RefineParams
 from scanloom.stages.scans.codes import SCAN_FRAMES_SKIPPED
 from scanloom.stages.scans.model.scan import Frame, Scan, SkippedFrame
@@ -58,6 +59,8 @@ RESULT_VERSION = 3
 _CORRECTION_COUNT = 2
 # Peak memory per triangle beyond the kept depth maps, bytes; 300 were measured on 3.2 million triangles.
 _BYTES_PER_TRIANGLE = 350
+# Number of fillings in the metrics.
+_LISTED_FILLINGS = 10
 # Mean edge lengths by which vertices of the boundary may move.
 _MAX_BOUNDARY_MOVE = 0.5
 
@@ -73,7 +76,8 @@ class RefinementResult:
 
     Attributes
     ----------
-    mesh : refined mesh, an oriented manifold with the vertex colours of the input.
+    mesh : refined mesh, an oriented manifold with the vertex colours of the input. Filled holes have the
+        colours of the photos, and of the rim where no photo shows them.
     deviations : (n,) standard deviation of each vertex along its normal, metres; 0 if not refined.
     plane_ids : (n,) int32, the plane of each vertex; −1 for none.
     plane_count : number of planes.
@@ -81,8 +85,7 @@ class RefinementResult:
     moves : (k,) distance of each vertex that stayed from its position in the input, metres.
     removed_triangles : number of triangles of removed flaps.
     is_filled : (n,) True for the vertices inside of closed holes, which no frame measured.
-    filled_holes : number of closed holes.
-    filled_area : area of the closed holes, m².
+    fillings : of the closed holes, the largest first.
     reason : why the mesh was left as it is; empty if it was refined.
     skipped : frames that could not be used.
     diagnostics : what was left out.
@@ -96,8 +99,7 @@ class RefinementResult:
     moves: Floats
     removed_triangles: int
     is_filled: NDArray[np.bool_]
-    filled_holes: int = 0
-    filled_area: float = 0.0
+    fillings: tuple[Filling, ...] = ()
     reason: str = ""
     skipped: tuple[SkippedFrame, ...] = ()
     diagnostics: tuple[Diagnostic, ...] = ()
@@ -116,8 +118,9 @@ class RefinementResult:
             "planes": self.plane_count,
             "planar_ratio": float((self.plane_ids >= 0).mean()) if len(self.plane_ids) else 0.0,
             "removed_triangles": self.removed_triangles,
-            "filled_holes": self.filled_holes,
-            "filled_area_m2": self.filled_area,
+            "filled_holes": len(self.fillings),
+            "filled_area_m2": sum(filling.area for filling in self.fillings),
+            "largest_fillings": [filling.to_dict() for filling in self.fillings[:_LISTED_FILLINGS]],
             "why": self.reason,
             "frames_skipped": [frame.to_dict() for frame in self.skipped],
         }
@@ -148,7 +151,8 @@ def refine(
     ----------
     mesh : Mesh, Open3D or trimesh mesh, or a pair of arrays, in the world coordinates of the poses: an
         oriented manifold, as `clean` returns it.
-    frames : frames with depth and poses that the mesh was fused from. Each is read up to four times.
+    frames : frames with depth and poses that the mesh was fused from. Each is read up to four times. Photos
+        colour filled holes.
     params, **changes : see RefineParams.
     progress : called after each frame.
 
@@ -170,14 +174,15 @@ def refine(
     given = as_mesh(mesh)
     require_measurable(given, "mesh")
     folder = frames.folder if isinstance(frames, Scan) else None
-    usable = [one for one in (frames.frames if isinstance(frames, Scan) else frames) if one.depth is not None]
+    given_frames = list(frames.frames if isinstance(frames, Scan) else frames)
+    usable = [frame for frame in given_frames if frame.depth is not None]
     with collecting() as diagnostics:
         noise = DepthNoise() if params.strength == 0 else _measure_noise(usable, folder)
         if noise == DepthNoise():
             refined = _keep_mesh(given, "strength is 0" if params.strength == 0 else _NO_NOISE)
         else:
             depth_frames = DepthFrames(usable, make_depth_limits(FuseParams()))
-            refined = _refine(given, depth_frames, noise, params, progress)
+            refined = _refine(given, given_frames, depth_frames, noise, params, progress)
     return replace(refined, diagnostics=tuple(diagnostics))
 
 
@@ -204,13 +209,18 @@ def _keep_mesh(mesh: Mesh, reason: str) -> RefinementResult:
 
 
 def _refine(
-    mesh: Mesh, depth_frames: DepthFrames, noise: DepthNoise, params: RefineParams, progress: Progress
+    mesh: Mesh,
+    frames: Sequence[Frame],
+    depth_frames: DepthFrames,
+    noise: DepthNoise,
+    params: RefineParams,
+    progress: Progress,
 ) -> RefinementResult:
     _report_data_left_out(mesh)
     refiner = _make_refiner(mesh, params.strength)
-    # The last pass looks for free space.
-    passes = 2 + _CORRECTION_COUNT
-    for number in range(passes - 1):
+    # The last two passes look for free space, and colour the fillings.
+    passes = 3 + _CORRECTION_COUNT
+    for number in range(passes - 2):
 
         def observe(view: PosedDepth) -> None:
             camera = view.camera
@@ -238,18 +248,27 @@ def _refine(
     smooth = _kernels.smooth_boundaries(
         kept.mesh.vertices, kept.mesh.triangles, max_move_ratio=_MAX_BOUNDARY_MOVE, wanted_threads=0
     )
-    report = partial(_report_pass, progress, passes - 1, passes, len(depth_frames))
+    report_depth, report_photo = (
+        partial(_report_pass, progress, number, passes, len(depth_frames)) for number in range(passes)[-2:]
+    )
     closed = close_holes(
         kept.mesh.with_(vertices=smooth),
         plane_ids[kept.vertex_source],
         deviations[kept.vertex_source],
         noise,
-        lambda test: depth_frames.show_all(test.observe, report),
+        lambda test: depth_frames.show_all(test.observe, report_depth),
         params.fill_holes,
+    )
+    filled_colors = color_fillings(
+        closed.mesh,
+        closed.is_filled,
+        frames,
+        # Frames without depth may have photos, too.
+        lambda done: report_photo(min(done, len(depth_frames))),
     )
     progress(passes * len(depth_frames), passes * len(depth_frames))
     return RefinementResult(
-        mesh=closed.mesh,
+        mesh=closed.mesh.with_(colors=filled_colors),
         deviations=closed.deviations,
         plane_ids=closed.plane_ids,
         plane_count=plane_count,
@@ -257,8 +276,7 @@ def _refine(
         moves=moves[: len(sources)],
         removed_triangles=int(np.count_nonzero(is_flap)),
         is_filled=closed.is_filled,
-        filled_holes=closed.hole_count,
-        filled_area=closed.area,
+        fillings=closed.fillings,
         skipped=tuple(depth_frames.skipped.values()),
     )
 

@@ -69,6 +69,19 @@ def build_edges(triangles: Triangles, vertex_count: int) -> Edges:
     )
 
 
+def make_edge_keys(a: Ids, b: Ids) -> NDArray[np.int64]:
+    """Return one integer per undirected edge; the order is that of the smaller, then of the larger vertex."""
+    return np.asarray(np.minimum(a, b).astype(np.int64) << 32 | np.maximum(a, b).astype(np.int64))
+
+
+def is_known_key(keys: Ids, known: Ids) -> NDArray[np.bool_]:
+    """Return a mask of the keys that occur in the ascending array `known`."""
+    if not len(known):
+        return np.zeros(keys.shape, bool)
+    rows = np.searchsorted(known, keys)
+    return np.asarray(known[np.minimum(rows, len(known) - 1)] == keys)
+
+
 def step_to_next_corner(corner: Ids) -> Ids:
     """Return the next corner in the same triangle."""
     return np.where(corner % 3 == 2, corner - 2, corner + 1)

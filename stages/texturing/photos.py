@@ -77,10 +77,15 @@ def load_photo(frame: Frame) -> Photo:
             DiagnosticLocation(frame=frame.name),
             cut_off=clipped_ratio,
         )
+    return Photo(frame, image, camera, compute_photo_pose(frame), valid_mask)
+
+
+def compute_photo_pose(frame: Frame) -> Pose:
+    """Compute the pose (4, 4), camera_from_world, of the photo of a frame with a pose; metres."""
     pose = invert_pose(np.asarray(frame.world_from_camera, np.float64))
     if frame.color_camera is not None and frame.color_from_depth is not None:
         pose = np.asarray(frame.color_from_depth, np.float64) @ pose
-    return Photo(frame, image, camera, pose, valid_mask)
+    return pose
 
 
 def _mask_clipped_pixels(image: ColorImage) -> NDArray[np.bool_]:

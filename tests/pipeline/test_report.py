@@ -1,5 +1,6 @@
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 
@@ -8,6 +9,7 @@ from scanloom.pipeline.evaluation.params import ReportParams
 from scanloom.pipeline.evaluation.stored_deviations import read_deviations
 from scanloom.stages.comparing.compare import CompareParams, compare
 from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.scans.model.scan import Camera, Frame
 from scanloom.stages.surface.mesh import Mesh
 
 SQUARE = Mesh(
@@ -58,6 +60,43 @@ def test_pictures_are_the_same_whatever_is_drawn_beside_them(tmp_path):
     assert made["pictures"] == [*names, "simplified-triangles.png"]
     for name in made["pictures"]:
         assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
+
+
+def _count_orange(path):
+    """Return the number of orange pixels below the caption."""
+    red, green, blue = (
+        cv2.cvtColor(cv2.imread(str(path)), cv2.COLOR_BGR2RGB)[30:].astype(int).transpose(2, 0, 1)
+    )
+    return np.count_nonzero((red > green + 60) & (green > blue + 30))
+
+
+def test_filled_holes_have_a_picture_of_the_side_that_shows_them(tmp_path):
+    """The upper one of two facing sheets has a filled hole, which only views from below face."""
+    grid = np.stack(np.meshgrid(*[np.linspace(-1, 1, 9)] * 2, indexing="ij"), axis=-1).reshape(-1, 2)
+    first = (np.arange(8)[:, None] * 9 + np.arange(8)).reshape(-1)
+    corners = np.stack([first, first + 9, first + 10, first + 1], axis=1)
+    up = np.concatenate([corners[:, [0, 1, 2]], corners[:, [0, 2, 3]]])
+    vertices = np.concatenate([np.insert(grid, 2, height, axis=1) for height in (0.0, 1.0)])
+    mesh = Mesh(vertices, np.concatenate([up, up[:, ::-1] + 81]).astype(np.int32))
+    is_filled = (np.abs(mesh.vertices) < 0.3).all(axis=1) | (mesh.vertices == (0, 0, 1)).all(axis=1)
+    is_filled[:81] = False
+    frames = []
+    for name, height, angle in (("from below", 0.1, 0), ("from above", 0.9, 160)):
+        pose, (cosine, sine) = np.eye(4), (np.cos(np.radians(angle)), np.sin(np.radians(angle)))
+        pose[1:3, 1:3] = [[cosine, -sine], [sine, cosine]]
+        pose[2, 3] = height
+        frames.append(Frame(name, Camera(64, 48, 30, 30, 31.5, 23.5), world_from_camera=pose))
+    params, compared = ReportParams(viewpoints=3, width=320), CompareParams(samples=100)
+    meshes = {"fused": mesh, "refined": mesh, "simplified": mesh}
+    folders = [tmp_path / name for name in ("filled", "whole")]
+    masks = (is_filled, np.zeros(len(mesh.vertices), bool))
+    for folder, mask in zip(folders, masks, strict=True):
+        folder.mkdir()
+        made = make(folder, meshes, frames, compared, params, is_filled=mask)
+        assert ("refined-filled.png" in made["pictures"]) == mask.any()
+        assert (folder / "refined-filled.png").exists() == mask.any()
+    assert _count_orange(folders[0] / "refined-filled.png") > 100
+    assert not any(_count_orange(path) for path in folders[1].glob("*.png"))
 
 
 def test_a_mesh_without_triangles_is_refused_by_name(tmp_path):

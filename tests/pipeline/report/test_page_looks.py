@@ -63,11 +63,11 @@ def looks_of(page: bytes) -> dict[str, Any]:
     return {one["name"]: one for one in read_page_content(page)["models"]}
 
 
-def values_of(page: bytes, channel: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return positions and values of the first model, by the file itself."""
+def values_of(page: bytes, channel: int, model: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    """Return positions and values of a model, by default the first, by the file itself."""
     from scanloom.stages._kernels import decode_rows
 
-    glb = base64.b64decode(read_page_content(page)["files"][0])
+    glb = base64.b64decode(read_page_content(page)["files"][model])
     length = struct.unpack_from("<I", glb, 12)[0]
     tree = json.loads(glb[20 : 20 + length])
     binary = glb[20 + length + 8 :]
@@ -117,6 +117,58 @@ def test_confidence_is_how_many_photos_show_a_place(out: Path) -> None:
     assert look["scale"]["shares"][0] == pytest.approx(0.5, abs=0.05)
     (out / "texture_maps" / "count-1.png").unlink()
     assert "confidence" not in looks_of(make_run_page(out, 5_000_000))
+
+
+FILLING = {"area_m2": 0.02, "border_m": 0.5, "point_m": [0.25, 0.75, 0.1]}
+REFINE = {"filled_holes": 3, "filled_area_m2": 0.03, "largest_fillings": [FILLING, FILLING]}
+
+
+def _write_refine_metrics(out: Path, metrics: Any) -> None:
+    refine = {"metrics": metrics, "cached": True, "compute_seconds": 1, "peak_memory_mb": 1, "reason": "",
+              "seconds": 0}  # fmt: skip
+    (out / "report.json").write_text(json.dumps({"stages": {"refine": refine}}))
+
+
+def test_filled_holes_are_marked_and_listed(out: Path) -> None:
+    mesh = sheet(N)
+    filled = (mesh.vertices[:, 0] > 0.45) & (mesh.vertices[:, 1] < 0.3)
+    write_ply(out / "refined.ply", mesh, vertex_values={"filled": filled.astype(np.float64)})
+    _write_refine_metrics(out, REFINE)
+    page = make_run_page(out, 5_000_000)
+    scale = looks_of(page)["filled holes"]["scale"]
+    assert len(scale["colors"]) == 2
+    places, values = values_of(page, 0, model=1)
+    inside = (places[:, 0] > 0.45) & (places[:, 1] < 0.3)
+    # The first half of the values is the first colour.
+    np.testing.assert_array_equal(values > 127, inside)
+    assert inside.any()
+    of_filled = filled[mesh.triangles].any(axis=1).mean()
+    assert scale["shares"][1] == pytest.approx(of_filled, abs=0.05)
+    tables = read_page_content(page)["tables"]
+    (table,) = (one for one in tables if one["title"].startswith("Filled holes"))
+    assert table["title"] == "Filled holes: 3 of 0.03 m², the largest ones"
+    assert table["rows"] == [["0.02 m²", "0.5 m", "0.25, 0.75, 0.1"]] * 2
+    np.testing.assert_allclose(table["places"][0]["target"], FILLING["point_m"])
+
+
+def test_nothing_is_marked_if_no_hole_was_filled(out: Path) -> None:
+    for values in ({}, {"filled": np.zeros(len(sheet(N).vertices))}):
+        write_ply(out / "refined.ply", sheet(N), vertex_values=values)
+        _write_refine_metrics(out, {"filled_holes": 0, "filled_area_m2": 0.0, "largest_fillings": []})
+        page = make_run_page(out, 5_000_000)
+        assert "filled holes" not in looks_of(page)
+        assert not [one for one in read_page_content(page)["tables"] if one["title"].startswith("Filled")]
+
+
+@pytest.mark.parametrize(
+    "metrics",
+    [7, [], {"largest_fillings": 7}, {"largest_fillings": [7]}, {**REFINE, "largest_fillings": [{}]},
+     {**REFINE, "filled_area_m2": "x"}, {**REFINE, "largest_fillings": [{**FILLING, "point_m": [1]}]}],
+)  # fmt: skip
+def test_damaged_fillings_are_one_sentence(out: Path, metrics: Any) -> None:
+    _write_refine_metrics(out, metrics)
+    with pytest.raises(InputError, match=r"report\.json"):
+        make_run_page(out, 5_000_000)
 
 
 def test_what_the_report_measured_is_not_measured_again(out: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -12,10 +12,13 @@ from scanloom.stages import Frame, Mesh, Scan, clean, fuse, refine, topology
 from scanloom.stages.frames.depth_filter import OrientedDepth
 from scanloom.stages.frames.posed_depth import PosedDepth
 from scanloom.stages.fusion.scene_statistics import DepthNoise
+from scanloom.stages.refinement.cap_planes import Planes, divide_cap
+from scanloom.stages.refinement.filling_colors import color_fillings
 from scanloom.stages.refinement.free_space import FreeSpaceTest
 from scanloom.stages.refinement.hole_closing import ClosedHoles, close_holes
 from scanloom.stages.scans.model.scan import Camera
 from scanloom.stages.surface.formats.ply import read_ply, read_vertex_values, write_ply
+from scanloom.stages.surface.welding import weld_vertices
 from tests.made.posed_scene import BOARD, BOARD_Z, CAMERA, make_posed_scan
 
 EDGE = 0.01  # grid spacing of the made meshes, metres
@@ -67,12 +70,16 @@ def _close(
     return close_holes(mesh, ids, np.full(len(ids), 0.0005), NOISE, show, max_length)
 
 
-def _look_down(depth: float) -> PosedDepth:
-    """Return a frame 1 m above the origin that looks down and measures the same depth everywhere."""
+def _look_down(depth: float, size: int = 64) -> PosedDepth:
+    """Return a frame 1 m above the origin that looks down.
+
+    It measures the same depth at size² pixels in the middle of the image, and none around them.
+    """
     camera = Camera(64, 64, 100.0, 100.0, 31.5, 31.5)
     pose = np.diag((1.0, -1.0, -1.0, 1.0))
     pose[2, 3] = 1.0
-    image = np.full((64, 64), depth, np.float32)
+    image = np.zeros((64, 64), np.float32)
+    image[32 - size // 2 :, 32 - size // 2 :][:size, :size] = depth
     return PosedDepth(OrientedDepth(image, (image,) * 3, image), camera, pose, image.size)
 
 
@@ -89,15 +96,20 @@ def test_a_hole_in_a_wall_is_filled_flat() -> None:
     colors = np.tile(np.array([[200, 100, 50]], np.uint8), (len(wall.vertices), 1))
     found = _close(wall.with_(colors=colors), np.zeros(len(wall.vertices)))
     _require_closed(found.mesh)
-    assert found.hole_count == 1
+    assert len(found.fillings) == 1
     assert found.area == pytest.approx(np.pi * (4 * EDGE) ** 2, rel=0.15)
     assert np.abs(found.mesh.vertices[:, 2]).max() < 1e-12
     assert found.is_filled.sum() > 20
     assert not found.is_filled[: len(wall.vertices)].any()
     assert (found.plane_ids == 0).all()
     assert (found.deviations[found.is_filled] > 0.0005).all()
-    assert found.mesh.colors is not None
-    assert (found.mesh.colors == colors[0]).all()
+    (filling,) = found.fillings
+    assert filling.area == found.area
+    assert filling.border_length == pytest.approx(2 * np.pi * 4 * EDGE, rel=0.3)
+    assert np.linalg.norm(filling.center) < 0.2 * EDGE
+    filled_colors = color_fillings(found.mesh, found.is_filled, [])
+    assert filled_colors is not None
+    assert (filled_colors == colors[0]).all()
 
 
 def test_the_mark_is_written_and_no_cause_for_a_warning(tmp_path: Path) -> None:
@@ -141,24 +153,92 @@ def test_a_crease_continues_straight_over_a_hole() -> None:
     assert set(found.plane_ids[found.is_filled].tolist()) == {0, 1}
 
 
+def _make_corner(is_hole: Callable[..., np.ndarray], sign: float) -> tuple[Mesh, np.ndarray]:
+    """Return three walls at right angles that meet in the origin, and the wall of each vertex.
+
+    The walls face the axis (1, 1, 1), or for sign −1 away from it.
+    """
+    wall = _make_grid(20, lambda x, y: np.stack([x + 1, y + 1, 0 * x], axis=1) * 10 * EDGE, _no_hole)
+    walls = [np.roll(wall.vertices, turn, axis=1) for turn in range(3)]
+    count = len(wall.vertices)
+    triangles = np.concatenate([wall.triangles + turn * count for turn in range(3)]).astype(np.int32)
+    joined = weld_vertices(
+        Mesh(np.concatenate(walls).round(12), triangles if sign > 0 else triangles[:, ::-1].copy())
+    )
+    centres = joined.vertices[joined.triangles].mean(axis=1)
+    mesh = clean(joined.with_(triangles=joined.triangles[~is_hole(centres)]), min_island_area=0).mesh
+    return mesh, np.abs(mesh.vertices).argmin(axis=1)
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_three_planes_continue_to_their_corner(sign: float) -> None:
+    mesh, ids = _make_corner(lambda centres: np.linalg.norm(centres, axis=1) < 4.3 * EDGE, sign)
+    assert np.linalg.norm(mesh.vertices, axis=1).min() > 3 * EDGE
+    found = _close(mesh, ids)
+    _require_closed(found.mesh)
+    assert len(found.fillings) == 1
+    filled = found.mesh.vertices[found.is_filled]
+    assert np.linalg.norm(filled, axis=1).min() < 1e-9
+    # Each vertex is on a wall, those on a crease are on two.
+    heights = np.abs(filled)
+    assert heights.min(axis=1).max() < 1e-9
+    assert (heights < 1e-9).sum(axis=0).min() >= 6
+    assert found.area == pytest.approx(3 * np.pi * (4.3 * EDGE) ** 2 / 4, rel=0.1)
+    # No triangle spans a crease.
+    corners = found.mesh.vertices[found.mesh.triangles]
+    assert (np.abs(corners) < 1e-9).all(axis=1).any(axis=1).all()
+    assert set(found.plane_ids[found.is_filled].tolist()) == {0, 1, 2}
+
+
+@pytest.mark.parametrize(("slope", "is_corner"), [(0.6, True), (3.0, False)])
+def test_only_corners_near_the_hole_are_used(slope: float, is_corner: bool) -> None:
+    """Three planes that meet in a tip in the middle of a round hole."""
+    directions = np.radians((90, 210, 330))
+    tips = np.stack([np.cos(directions), np.sin(directions), np.full(3, 1 / slope)], axis=1)
+    planes = Planes(tips / np.linalg.norm(tips, axis=1, keepdims=True), np.zeros(3))
+    angles = np.radians(np.arange(0, 360, 10))
+    cosines = np.cos(angles[:, None] - directions)
+    rim = np.stack([np.cos(angles), np.sin(angles), -slope * cosines.max(axis=1)], axis=1)
+    divided = divide_cap(rim, cosines.argmax(axis=1), np.full(36, 1e-6), planes, 0.17)
+    if not is_corner:
+        assert divided is None
+        return
+    assert divided is not None
+    assert {section.plane for section in divided.sections} == {0, 1, 2}
+    assert np.abs(divided.points).min(axis=0).max() < 1e-9
+    assert (
+        len(divided.points) == len(divided.point_planes) == 1 + sum(len(one) - 2 for one in divided.creases)
+    )
+    points = np.concatenate([rim, divided.points])
+    for section in divided.sections:
+        assert np.abs(planes.measure_heights(points[section.outline], np.full(1, section.plane))).max() < 1e-6
+
+
 def test_free_space_is_not_filled() -> None:
     wall = _make_grid(40, _make_wall, _is_round_hole)
     behind = _close(wall, None, 1.0, _look_down(1.0), _look_down(1.5))
-    assert behind.hole_count == 0
+    assert len(behind.fillings) == 0
     assert behind.mesh is wall
     assert not behind.is_filled.any()
     # A surface at the cap, in front of it, or no depth is no evidence against it.
     for depth in (1.0, 0.5, 0.0):
-        assert _close(wall, None, 1.0, _look_down(depth)).hole_count == 1
+        assert len(_close(wall, None, 1.0, _look_down(depth)).fillings) == 1
+
+
+def test_a_single_wrong_measurement_keeps_no_hole_open() -> None:
+    wall = _make_grid(40, _make_wall, _is_round_hole)
+    for count, size, hole_count in ((1, 1, 1), (1, 2, 1), (1, 3, 0), (2, 1, 0), (2, 2, 0)):
+        views = [_look_down(1.5, size)] * count
+        assert len(_close(wall, None, 1.0, *views, _look_down(1.0)).fillings) == hole_count
 
 
 def test_only_holes_within_the_limit_are_filled() -> None:
     wall = _make_grid(
         40, _make_wall, lambda x, y: _is_round_hole(x + 0.5, y, 0.1) | _is_round_hole(x - 0.4, y, 0.3)
     )
-    assert [_close(wall, None, limit).hole_count for limit in (0.0, 0.1, 0.2, 0.6)] == [0, 0, 1, 2]
+    assert [len(_close(wall, None, limit).fillings) for limit in (0.0, 0.1, 0.2, 0.6)] == [0, 0, 1, 2]
     # 20 mean edge lengths.
-    assert _close(wall, None, None).hole_count == 1
+    assert len(_close(wall, None, None).fillings) == 1
 
 
 def test_a_mesh_without_holes_stays_as_it_is() -> None:
@@ -177,7 +257,7 @@ def test_a_cap_does_not_touch_other_surface() -> None:
         np.concatenate([wall.vertices, post.vertices]),
         np.concatenate([wall.triangles, post.triangles + np.int32(len(wall.vertices))]),
     )
-    assert _close(both).hole_count == 0
+    assert len(_close(both).fillings) == 0
 
 
 def _no_hole(x: np.ndarray, y: np.ndarray) -> np.ndarray:
@@ -200,8 +280,8 @@ def test_random_holes_leave_an_oriented_manifold(seed: int) -> None:
     ids = np.where(mesh.vertices[:, 0] < 0, 0, 1) if seed % 3 < 2 else None
     found = _close(mesh, ids, 2.0)
     before = topology(mesh)
-    _require_closed(found.mesh, before.boundary_loops - found.hole_count)
-    assert found.hole_count > 3
+    _require_closed(found.mesh, before.boundary_loops - len(found.fillings))
+    assert len(found.fillings) > 3
     again = _close(mesh, ids, 2.0)
     assert np.array_equal(found.mesh.vertices, again.mesh.vertices)
     assert np.array_equal(found.mesh.triangles, again.mesh.triangles)
@@ -236,6 +316,12 @@ def test_refine_fills_what_no_frame_has_seen() -> None:
     metrics = filled.to_dict()
     assert metrics["filled_holes"] >= 1
     assert metrics["filled_area_m2"] > 0.001
+    largest = metrics["largest_fillings"]
+    assert sum(one["area_m2"] for one in largest) <= metrics["filled_area_m2"] + 1e-12
+    assert min(np.linalg.norm(np.array(one["point_m"]) - centre) for one in largest) < 0.02
+    assert filled.mesh.colors is not None
+    # Black would be no colour of the board.
+    assert filled.mesh.colors[filled.is_filled].min() > 0
     assert len(filled.is_filled) == len(filled.deviations) == len(filled.plane_ids) == metrics["vertices"]
     kept = refine(fused, scan, fill_holes=0)
     assert not kept.is_filled.any()
