@@ -1,6 +1,6 @@
 """Shape of scanned surfaces before and after refinement, next to Open3D's fusion and a fixed filter.
 
-    python benches/shape.py SCAN [SCAN ...] [--truth MESH] [--similarity] [--bounds 0.001 0.005]
+    python benches/shape.py SCAN [SCAN ...] [--truth MESH] [--similarity] [--regularised] [--bounds 0.001]
 
 Prints Markdown. Each scan is adjusted, fused and cleaned with default parameters. All rows use the adjusted
 poses, and Open3D's fusion uses the voxel size of the fused mesh.
@@ -9,20 +9,25 @@ poses, and Open3D's fusion uses the voxel size of the fused mesh.
 - clean: scanloom's mesh before refinement.
 - normal filter: bilateral normal filtering of the clean mesh with fixed constants (peers/normal_filter.py).
 - refine: scanloom's refined mesh.
+- With --regularised, for scans with truth: fusion with a regularised distance field from the same samples
+  (peers/regularised_fusion.py), cleaned; and the same, refined. Of several data weights λ, the row has the
+  one whose mesh has the smallest mean distance to the truth. A user could not choose it.
 
 The first table is for scans with truth: a made scan (samples/room.py) has `truth.ply` and `thin_parts.ply` in
 its folder, and for other scans --truth names the true surface. With --similarity, each mesh is fitted to the
 truth with a free scale first, as needed for warped depth. The second table is for scans without truth, on
 places where the clean mesh is planar. Both end with the triangles that `simplify` needs at a proven bound.
-Seconds are wall time of the last step of a row: fusion and cleaning, filter, or refinement. Measures are
+Seconds are wall time of the last step of a row: fusion and cleaning, filter, or refinement; with the
+given weight only. Measures are
 defined in `shape_measures.py`.
 """
 
 from __future__ import annotations
 
 import argparse
+import contextlib
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -30,6 +35,8 @@ import numpy as np
 from fusion import RunTimes, fuse_voxel_block_grid
 from markdown_tables import print_head, print_row
 from peers.normal_filter import filter_mesh
+from peers.regularised_fusion import REGULARISERS, Regulariser, fuse_regularised, measure_band
+from peers.total_variation import VoxelOperators
 from shape_measures import (
     MAX_SEEN_DISTANCE,
     PlanarPlaces,
@@ -46,8 +53,11 @@ from shape_measures import (
 
 import scanloom
 from scanloom import Mesh, Scan
+from scanloom.stages.diagnostics.errors import MeshError
 
 BOUNDS = (0.001, 0.005)
+# Samples of a mesh for choosing the weight of its data.
+_CHOICE_SAMPLES = 100_000
 TRUTH_COLUMNS = (
     "mean / RMS / 95 % mm",
     "normals, median / 90 %",
@@ -122,10 +132,64 @@ def make_surfaces(scan: Scan) -> Iterator[ScannedSurface]:
         yield ScannedSurface(name, mesh, time.perf_counter() - start)
 
 
-def format_truth_cells(mesh: Mesh, truth: Truth, *, similarity: bool) -> list[str]:
+def make_regularised_surfaces(scan: Scan, measure_error: Callable[[Mesh], float]) -> Iterator[ScannedSurface]:
+    """Yield the best surfaces of regularised fusion, and the best ones of its refinement.
+
+    Parameters
+    ----------
+    scan : scan with adjusted poses.
+    measure_error : error of a mesh that chooses the weight of the data.
+    """
+    start = time.perf_counter()
+    band = measure_band(scan)
+    operators = VoxelOperators(band.positions)
+    shared_seconds = time.perf_counter() - start
+
+    def make_fused(regulariser: Regulariser, weight: float) -> ScannedSurface:
+        start = time.perf_counter() - shared_seconds
+        mesh = scanloom.clean(fuse_regularised(band, operators, regulariser, weight)).mesh
+        return ScannedSurface(f"{regulariser.name}, λ {weight:g}", mesh, time.perf_counter() - start)
+
+    def make_refined(fused: ScannedSurface) -> ScannedSurface:
+        start = time.perf_counter()
+        mesh = scanloom.refine(fused.mesh, scan).mesh
+        return ScannedSurface(f"{fused.name}, refine", mesh, time.perf_counter() - start)
+
+    def choose(surfaces: Iterable[ScannedSurface]) -> ScannedSurface:
+        return min(surfaces, key=lambda surface: measure_error(surface.mesh))
+
+    for regulariser in REGULARISERS:
+        surfaces = []
+        for weight in regulariser.data_weights:
+            # A small weight may leave no surface at all.
+            with contextlib.suppress(MeshError):
+                surfaces.append(make_fused(regulariser, weight))
+        yield choose(surfaces)
+        if regulariser.order == 2:
+            yield choose(map(make_refined, surfaces))
+
+
+def make_all_surfaces(
+    scan: Scan, truth: Truth | None, options: argparse.Namespace
+) -> Iterator[ScannedSurface]:
+    """Yield the surfaces that the options ask for."""
+    yield from make_surfaces(scan)
+    if options.regularised and truth is not None:
+
+        def measure_error(mesh: Mesh) -> float:
+            placed = fit_to_truth(mesh, truth, options)
+            return measure_truth_errors(placed, truth.surface, _CHOICE_SAMPLES).mean_m
+
+        yield from make_regularised_surfaces(scan, measure_error)
+
+
+def fit_to_truth(mesh: Mesh, truth: Truth, options: argparse.Namespace) -> Mesh:
+    """Fit a mesh to the truth with a free scale, if asked."""
+    return transform_mesh(mesh, estimate_similarity(mesh, truth.surface)) if options.similarity else mesh
+
+
+def format_truth_cells(mesh: Mesh, truth: Truth) -> list[str]:
     """Measure a mesh against the truth; return the cells of its row."""
-    if similarity:
-        mesh = transform_mesh(mesh, estimate_similarity(mesh, truth.surface))
     errors = measure_truth_errors(mesh, truth.surface)
     complete = [
         f"{100 * measure_completeness(points, mesh):.1f} %" if len(points) else "–"
@@ -160,9 +224,9 @@ def print_scan(path: Path, truth_path: Path | None, options: argparse.Namespace)
     scan = adjust_scan(scanloom.read_scan(path))
     truth = None if truth_path is None else Truth.read(truth_path, scan, options.seen_distance)
     places = None
-    for surface in make_surfaces(scan):
+    for surface in make_all_surfaces(scan, truth, options):
         if truth is not None:
-            cells = format_truth_cells(surface.mesh, truth, similarity=options.similarity)
+            cells = format_truth_cells(fit_to_truth(surface.mesh, truth, options), truth)
         else:
             places = find_planar_places(surface.mesh) if places is None else places
             cells = format_planar_cells(surface.mesh, places)
@@ -183,6 +247,9 @@ def main() -> None:
         "--truth", type=Path, metavar="MESH", help="the true surface of scans without truth.ply"
     )
     parser.add_argument("--similarity", action="store_true", help="fit meshes to the truth with a free scale")
+    parser.add_argument(
+        "--regularised", action="store_true", help="add fusion with a regularised distance field (slow)"
+    )
     parser.add_argument(
         "--seen-distance",
         type=float,

@@ -1,5 +1,6 @@
 """Measures of shape on meshes with known answers."""
 
+import argparse
 import dataclasses
 import sys
 from pathlib import Path
@@ -15,6 +16,7 @@ from scanloom.stages.surface.mesh import Mesh
 sys.path.insert(0, str(Path(__file__).parents[2] / "benches"))
 import shape
 from peers.normal_filter import filter_mesh
+from peers.regularised_fusion import REGULARISERS
 from shape_measures import (
     SurfaceSamples,
     TruthSurface,
@@ -232,6 +234,41 @@ def test_the_bench_prints_a_row_per_surface(
         "0.00",
         "100.0 % / 100.0 %",
     ]
+
+
+def test_of_regularised_surfaces_the_best_is_chosen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    scan = scanloom.read_scan(write_small_scan(tmp_path / "made", 0))
+    clean = scanloom.clean(scanloom.fuse(scan).mesh).mesh
+    # The smallest weight leaves no surface, and the next one smooths the ball away.
+    fast = [dataclasses.replace(regulariser, data_weights=(1e-6, 0.02, 10)) for regulariser in REGULARISERS]
+    monkeypatch.setattr(shape, "REGULARISERS", fast)
+    errors: list[float] = []
+
+    def measure_error(mesh: Mesh) -> float:
+        errors.append(1 - measure_completeness(clean.vertices, mesh))
+        return errors[-1]
+
+    surfaces = list(shape.make_regularised_surfaces(scan, measure_error))
+
+    assert [surface.name for surface in surfaces] == [
+        *("TV-L1, λ 10", "TGV-L1, λ 10", "TGV-L1, λ 10, refine", "TGV-L2, λ 10", "TGV-L2, λ 10, refine"),
+    ]
+    assert min(errors) < 0.05 < 0.1 < max(errors)
+    assert all(surface.seconds > 0 for surface in surfaces)
+
+
+def test_regularised_surfaces_need_truth_and_the_option(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    scan = scanloom.read_scan(write_small_scan(tmp_path / "made", 0))
+    clean = scanloom.clean(scanloom.fuse(scan).mesh).mesh
+    truth = shape.Truth(TruthSurface(clean), clean.vertices, clean.vertices)
+    monkeypatch.setattr(shape, "make_regularised_surfaces", lambda _scan, measure: [measure(clean)])
+
+    def count_surfaces(known: shape.Truth | None, *, regularised: bool) -> int:
+        options = argparse.Namespace(regularised=regularised, similarity=False)
+        return len(list(shape.make_all_surfaces(scan, known, options)))
+
+    assert count_surfaces(truth, regularised=True) == count_surfaces(truth, regularised=False) + 1
+    assert count_surfaces(None, regularised=True) == count_surfaces(None, regularised=False)
 
 
 def test_the_truth_is_in_the_folder_or_named(tmp_path: Path):
