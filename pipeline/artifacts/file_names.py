@@ -1,4 +1,4 @@
-"""Names of result files and folders that pages read."""
+"""Names of result files, folders and vertex properties that pages read."""
 
 # Pictures, cameras and photos of the report.
 PICTURES = "pictures"
@@ -6,3 +6,5 @@ PICTURES = "pictures"
 TEXTURE_MAPS = "texture_maps"
 # Mesh coloured by coverage, and list of gaps.
 COVERAGE_MESH, COVERAGE = "coverage.ply", "coverage.json"
+# Vertex properties of refined.ply: standard deviation along the normal; 1 inside of filled holes.
+DEVIATION_PROPERTY, FILLED_PROPERTY = "deviation", "filled"

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from scanloom.pipeline.artifacts.file_names import DEVIATION_PROPERTY, FILLED_PROPERTY
 from scanloom.pipeline.artifacts.mesh_file import MeshFile
 from scanloom.pipeline.artifacts.posed_frames import PosedFrames
 from scanloom.pipeline.cost_model import BASE_BYTES, CostModel
@@ -57,10 +58,6 @@ class RefineSection(RefineParams):
     def has_memory_for(self, triangles: int) -> bool:
         """Return True if a mesh of so many triangles can be refined within the memory limit."""
         return estimate_memory(triangles) <= self.memory * 1e6
-
-
-# Vertex properties of refined.ply: standard deviation along the normal; 1 inside of filled holes.
-DEVIATION_PROPERTY, FILLED_PROPERTY = "deviation", "filled"
 
 
 @dataclass(frozen=True)

@@ -11,12 +11,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from scanloom.pipeline.artifacts.file_names import DEVIATION_PROPERTY
 from scanloom.pipeline.artifacts.mesh_file import MeshFile
 from scanloom.pipeline.cost_model import MAX_BYTES_IN_CHUNKS, CostModel
 from scanloom.pipeline.result_versions import collect_result_versions
 from scanloom.pipeline.sections import Sections
 from scanloom.pipeline.stage import Context, Stage
-from scanloom.pipeline.steps.refine import DEVIATION_PROPERTY, RefinedMesh, is_refined_mesh_large
+from scanloom.pipeline.steps.refine import RefinedMesh, is_refined_mesh_large
 from scanloom.stages.comparing.certify import certify
 from scanloom.stages.comparing.compare import compare_surfaces
 from scanloom.stages.diagnostics.errors import UsageError

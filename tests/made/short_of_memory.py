@@ -159,6 +159,9 @@ def _make_calls(mesh: Mesh, side: int) -> dict[str, Call]:
             ((800.0, 800.0, 500.0, 500.0, 1000, 1000), np.eye(4)), near=1e-3
         ),
         "weld_sheets": partial(kernels.weld_sheets, sets, mesh.triangles),
+        "label_components": partial(
+            kernels.label_components, len(mesh.vertices), mesh.triangles[:, 0], mesh.triangles[:, 1]
+        ),
         "choose_color_weight": partial(
             kernels.choose_color_weight, *soup, target=triangles // 10, run_trial=True, wanted_threads=2
         ),

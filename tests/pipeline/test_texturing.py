@@ -108,3 +108,22 @@ def test_photos_without_poses_are_refused(tmp_path: Path):
     images.mkdir()
     with pytest.raises(InputError, match="photos"):
         run(grey_scan(tmp_path / "scan"), tmp_path / "out", config(images), until="texture")
+
+
+def test_colors_only_limit_the_simplification_without_a_texture(tmp_path: Path):
+    scan, out = grey_scan(tmp_path / "scan"), tmp_path / "out"
+
+    def simplified(*settings: str) -> dict[str, object]:
+        told = Config().set(["adjust.enabled=false", "fuse.voxel_size=0.02", *settings])
+        result = run(scan, out, told, until="simplify")
+        return dict(next(one for one in result.stages if one.stage == "simplify").metrics)
+
+    textured, colored = simplified(), simplified("texture.enabled=false")
+    assert textured["method"] == "certified"
+    assert isinstance(bound := textured["default_max_shape_m"], float)
+    assert textured["details"]["shape_bound_m"] <= bound  # type: ignore[index]
+    assert colored["method"] == "jia01"
+    assert "default_max_shape_m" not in colored
+    # A texture that is switched on again finds the first result.
+    told = Config().set(["adjust.enabled=false", "fuse.voxel_size=0.02"])
+    assert ran(run(scan, out, told, until="simplify")) == set()

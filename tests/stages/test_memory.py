@@ -25,6 +25,7 @@ SIDES = {
     "smooth_boundaries": 400,
     "find_intersecting_triangles": 120,
     "weld_sheets": 400,
+    "label_components": 1000,
     "choose_color_weight": 120,
     "simplify": 100,
     "simplify_by_quadrics": 100,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -300,3 +301,42 @@ def test_colours_are_never_farther_apart_than_the_farthest_two() -> None:
     assert simplify(grey, max_shape=0.003).details.color_bound_levels == 0
     sheets = simplify(two_sheets_that_touch(), max_shape=0.003).details
     assert sheets.color_attained_levels <= sheets.color_bound_levels < 441.673
+
+
+@pytest.mark.parametrize("with_colors", [False, True])
+def test_looser_bounds_leave_fewer_triangles(with_colors: bool) -> None:
+    """Walls are exactly planar, so that single triangles span them; the box has noise."""
+    mesh = make_room(with_colors)
+    counts = []
+    for bound in (0.001, 0.002, 0.004, 0.008, 0.016):
+        found = simplify(mesh, method="certified", max_shape=bound)
+        assert found.details.proven
+        assert not found.refused.get("locked")
+        counts.append(len(found.mesh.triangles))
+    assert all(after <= 1.03 * before for before, after in pairwise(counts)), counts
+    assert counts[-1] < len(mesh.triangles) / 100
+
+
+def make_room(with_colors: bool) -> Mesh:
+    """Create two walls and a floor with a noisy bump, as one surface of 3 × 120² squares."""
+    side = 120
+    rng = np.random.default_rng(0)
+    u, v = (axis.ravel() / side for axis in np.meshgrid(np.arange(2 * side + 1), np.arange(side + 1)))
+    bump = 0.1 * np.exp(-((u - 0.5) ** 2 + (v - 0.5) ** 2) / 0.005)
+    noise = np.where(bump > 1e-4, 0.002 * rng.standard_normal(len(u)), 0.0)
+    # Bent along a line: the floor, and the wall.
+    points = np.stack([np.minimum(u, 1), v, np.maximum(u - 1, 0) + bump + noise], axis=1)
+    row = 2 * side + 1
+    corner = (np.arange(side)[:, None] * row + np.arange(2 * side)).ravel()
+    triangles = np.concatenate(
+        [
+            np.stack([corner, corner + 1, corner + row + 1], axis=1),
+            np.stack([corner, corner + row + 1, corner + row], axis=1),
+        ]
+    ).astype(np.int32)
+    # A hole with a noisy border, where triangles of the result may leave the input.
+    radius = np.hypot(u - 0.3, v - 0.7) + 0.02 * rng.standard_normal(len(u))
+    kept = (radius[triangles] > 0.1).all(axis=1)
+    colors = np.repeat((127 + 100 * np.sin(40 * u) * np.cos(37 * v))[:, None], 3, axis=1).astype(np.uint8)
+    mesh = Mesh(points, triangles[kept], colors if with_colors else None)
+    return clean(mesh, min_island_area=0).mesh
