@@ -6,3 +6,5 @@ PICTURES = "pictures"
 TEXTURE_MAPS = "texture_maps"
 # Mesh coloured by coverage, and list of gaps.
 COVERAGE_MESH, COVERAGE = "coverage.ply", "coverage.json"
+# Vertex property of refined.ply, 1 inside of filled holes.
+FILLED_PROPERTY = "filled"

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from scanloom.pipeline.artifacts.file_names import FILLED_PROPERTY
 from scanloom.pipeline.evaluation.filled_surface import FILLED_COLORS
 from scanloom.pipeline.report.page.packing import VertexColormap
 from scanloom.pipeline.report.page.single_file_page import PageScale
 from scanloom.pipeline.report.report_summary import get_nested
-from scanloom.pipeline.steps.refine import FILLED_PROPERTY
 from scanloom.stages.printing import format_position
 from scanloom.stages.surface.formats.ply import read_vertex_values
 from scanloom.stages.surface.mesh import Mesh

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from scanloom.pipeline.artifacts.file_names import FILLED_PROPERTY
 from scanloom.pipeline.artifacts.mesh_file import MeshFile
 from scanloom.pipeline.artifacts.posed_frames import PosedFrames
 from scanloom.pipeline.cost_model import MAX_BYTES_IN_CHUNKS, CostModel
@@ -32,9 +33,6 @@ from scanloom.stages.refinement.params import RefineParams
 from scanloom.stages.refinement.refine import refine
 from scanloom.stages.surface.chunked_ply import make_table_path
 from scanloom.stages.surface.formats.ply import read_vertex_values, write_ply
-
-# Vertex property of refined.ply, 1 inside of filled holes.
-FILLED_PROPERTY = "filled"
 
 
 @dataclass(frozen=True)
