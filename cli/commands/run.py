@@ -28,6 +28,7 @@ from scanloom.cli.scan_argument import ScanFolder
 from scanloom.stages import ScanParams, UsageError
 from scanloom.stages.diagnostics.codes import USAGE_OPTIONS_CONFLICT
 from scanloom.stages.params import param
+from scanloom.stages.printing import format_upper_bound
 
 if TYPE_CHECKING:
     from scanloom.pipeline.run.dry_run import DryRun
@@ -161,20 +162,28 @@ _BASES = {
 
 
 def _summary(result: RunResult) -> str:
-    """Return the quality of the final mesh and the location of the results."""
+    """Return the quality and size of the final mesh, and the location of the results."""
     mesh = result.report["mesh"]
+    models = [path for stage in result.stages if stage.stage == "texture" for path in stage.results]
+    textured = next((path for path in models if path.suffix == ".glb"), None)
     lines = []
     if mesh is not None:
         # From the result to the fused mesh only: the other direction is dominated by removed islands.
         distance = mesh["to_fused"]["distance"]["b_to_a"]
         m = "m" if result.report["scan"]["metric"] else "units"
+        line = f"{mesh['triangles']:,} triangles, {'' if mesh['manifold'] else 'not '}manifold"
+        lines.append(line + (f"; {format_size(textured.stat().st_size)} with texture" if textured else ""))
+        details = result.report["stages"].get("simplify", {}).get("metrics", {}).get("details", {})
+        if details.get("proven"):
+            bound = format_upper_bound(details["shape_bound_m"])
+            lines.append(f"proven to be within {bound} {m} of the mesh before simplification")
+        line = f"distance to the fused mesh: {distance['rms_m']:.3g} {m} RMS, "
+        line += f"{distance['maximum_m']:.3g} {m} maximum"
         color = (mesh["to_fused"]["color"] or {}).get("b_to_a")
-        lines += [
-            f"{mesh['triangles']:,} triangles, {'' if mesh['manifold'] else 'not '}manifold",
-            f"distance to the fused mesh: {distance['rms_m']:.3g} {m} RMS, "
-            f"{distance['maximum_m']:.3g} {m} maximum"
-            + (f"; colour error {color['rmse_levels']:.3g} of 255 levels RMS" if color else ""),
-        ]
+        # With a texture, the colours of the vertices do not matter.
+        if color and not textured:
+            line += f"; colour error {color['rmse_levels']:.3g} of 255 levels RMS"
+        lines.append(line)
     held_out = result.report.get("held_out")
     if held_out and held_out["photos"]:
         lines.append(
