@@ -101,8 +101,8 @@ def test_a_sample_scan_gives_the_golden_meshes(sample, truth, tmp_path, update_g
     assert color < POINTS_COLOR
     assert report["mesh"]["vertices"] == len(final.vertices)
     assert report["mesh"]["manifold"] is True
-    # Four meshes from two viewpoints, the triangles, and which photo counts most where.
-    assert len(report["pictures"]) == 2 * 4 + 2
+    # Four meshes from two viewpoints, the triangles, which photo counts most where, and filled holes.
+    assert len(report["pictures"]) == 2 * 4 + 3
     for picture in report["pictures"]:
         assert next(tmp_path.rglob(Path(picture).name)).stat().st_size > 1000
 
