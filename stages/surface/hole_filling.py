@@ -30,12 +30,10 @@ class LoopCap:
     Attributes
     ----------
     loop : (k,) vertices of the border loop, in the direction of the cap.
-    rim_triangles : (k,) triangle at each edge of the loop.
     triangles : (k − 2, 3) cap, as positions in `loop`.
     """
 
     loop: Ids
-    rim_triangles: Ids
     triangles: Triangles
 
 
@@ -83,11 +81,7 @@ def find_caps(
         )
         kept = [row for row, small in zip(kept, is_small, strict=True) if small]
     caps = triangulate_loops(mesh.vertices, [loops[row] for row in kept], _find_border_chords(edges))
-    return [
-        LoopCap(loops[row], rim_triangles[row], cap)
-        for row, cap in zip(kept, caps, strict=True)
-        if cap is not None
-    ]
+    return [LoopCap(loops[row], cap) for row, cap in zip(kept, caps, strict=True) if cap is not None]
 
 
 def _find_border_chords(edges: Edges) -> Ids:
