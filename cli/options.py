@@ -35,6 +35,7 @@ from scanloom.stages.params import (
     get_row_length,
     resolve,
 )
+from scanloom.stages.params.lengths import parse_length
 
 SCAN_PANEL = "Scan options"
 COMMON_PANEL = "Common options"
@@ -377,11 +378,21 @@ def _option(name: str, about: ParameterInfo, hint: Any, default: Any, panel: str
             *names,
             help=help_of(about, default),
             metavar=_metavar(about, hint, kind),
+            parser=_parse_length if kind is float and about.unit == "m" else None,
             autocompletion=(lambda: list(about.choices)) if about.choices else None,
             show_default=False,
             rich_help_panel=panel,
         ),
     ]
+
+
+def _parse_length(text: str) -> float:
+    try:
+        return parse_length(text)
+    except ValueError:
+        raise typer.BadParameter(
+            f"{text!r} is not a valid float, also not with a unit (mm, cm, m)."
+        ) from None
 
 
 def _metavar(about: ParameterInfo, hint: Any, kind: Any) -> str | None:
@@ -391,6 +402,8 @@ def _metavar(about: ParameterInfo, hint: Any, kind: Any) -> str | None:
         return " ".join(count * ["X"])
     if about.is_path or kind is Path:
         return "FILE"
+    if kind is float and about.unit == "m":
+        return "LENGTH"
     return {float: "NUMBER", int: "COUNT", str: "TEXT"}.get(kind)
 
 

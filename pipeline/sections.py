@@ -11,7 +11,7 @@ import json
 import re
 import textwrap
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, ClassVar, TypeVar, get_args
 
@@ -32,6 +32,7 @@ from scanloom.stages.params import (
     get_row_length,
     resolve_hints,
 )
+from scanloom.stages.params.lengths import parse_length
 
 _MAX_BYTES = 1 << 22
 S = TypeVar("S", bound="Sections")
@@ -303,6 +304,9 @@ def _nest_value(
     nested = find_nested(cls).get(first)
     if dot and nested is not None:
         return {first: _nest_value([*sections, first], rest, nested, text, types, where)}
+    if key in describe_own(cls) and describe_own(cls)[key].unit == "m":
+        with suppress(ValueError):
+            return {key: parse_length(text)}
     return {key: _read_value(text, _get_kind(".".join(sections), key, cls, types, where))}
 
 

@@ -39,7 +39,7 @@ def main() -> None:
         _save_pictures([here / "before.png", here / "before-triangles.png"], "result.jpg", _WIDTH)
         _take_screenshot(here / "my_mesh" / "report.html", here / "page.png")
         _save_pictures([here / "page.png"], "page.jpg", _PAGE_SIZE[0])
-        _run_scanloom(here, "run samples/rgbd -o my_mesh --set simplify.max_shape=0.005")
+        _run_scanloom(here, "run samples/rgbd -o my_mesh --set simplify.max_shape=5mm")
         _render_result(here, "after")
         _save_pictures([here / "after.png", here / "after-triangles.png"], "lighter.jpg", _WIDTH)
 

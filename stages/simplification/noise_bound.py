@@ -11,8 +11,9 @@ from scanloom.stages.simplification.codes import USAGE_REGION_INVALID
 # A vertex may deviate by this many standard deviations. With a texture, held-out photos then score within
 # 0.1 dB of the unsimplified mesh (docs/measured.md).
 _MAX_DEVIATIONS = 2.0
-# Quantiles between which deviations are used: few vertices have values of their own beyond.
-_QUANTILES = (0.1, 0.9)
+# Quantiles between which deviations are used. Beyond the median, distant surface would lose shape that can be
+# seen; few vertices are below the other one.
+_QUANTILES = (0.1, 0.5)
 
 
 def derive_noise_bound(deviations: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
@@ -24,8 +25,8 @@ def derive_noise_bound(deviations: NDArray[np.float64]) -> tuple[float, NDArray[
 
     Returns
     -------
-    The bound for the vertices with the largest deviation, in metres; and the importance (n,) of each vertex,
-    which divides the bound.
+    The bound, twice the median of the deviations, in metres; and the importance (n,) of each vertex, which
+    divides the bound where the deviation is less than the median.
     """
     positive = deviations[deviations > 0]
     low, high = np.quantile(positive, _QUANTILES)
