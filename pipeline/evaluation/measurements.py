@@ -33,7 +33,7 @@ from scanloom.stages.comparing.needle_search import NeedleSafeSurface
 from scanloom.stages.progress import Progress, ignore_progress
 from scanloom.stages.rendering.annotations import draw_caption
 from scanloom.stages.rendering.chunked_rendering import draw_chunked
-from scanloom.stages.rendering.render import RenderModel, Viewpoint, viewpoints, write_png
+from scanloom.stages.rendering.render import RenderModel, Shading, Viewpoint, viewpoints, write_png
 from scanloom.stages.rendering.viewpoints import MAX_FRAMED_POINTS, choose_viewpoints_around
 from scanloom.stages.scans.model.prefetch import get_worker_count, map_ordered
 from scanloom.stages.scans.model.scan import Frame
@@ -43,7 +43,7 @@ from scanloom.stages.surface.mesh import Mesh
 from scanloom.stages.surface.raycasting import Floats, RaycastingSurface, compute_bounding_box
 from scanloom.stages.surface.topology import require_area, topology
 
-RESULT_VERSION = 8
+RESULT_VERSION = 9
 
 # Number of samples for signed deviations.
 SIGNED_SAMPLES = 100_000
@@ -244,13 +244,14 @@ class _Drawing(NamedTuple):
     viewpoint: Viewpoint
     with_triangles: str | None = None
     caption: str = ""
+    shading: Shading = "color"
 
     @property
     def files(self) -> list[str]:
         return [self.file] if self.with_triangles is None else [self.file, self.with_triangles]
 
     def draw(self, folder: Path) -> None:
-        image = self.model().draw(self.viewpoint)
+        image = self.model().draw(self.viewpoint, self.shading)
         write_png(folder / self.file, draw_caption(image, self.caption) if self.caption else image)
         if self.with_triangles is not None:
             both = np.hstack([image, self.model().draw(self.viewpoint, "edges")])
@@ -290,7 +291,11 @@ def _list_drawings(
     """
     drawings: list[_Drawing] = []
     for name, model in models.items():
-        drawings += (_Drawing(_make_file_name(name, one), model, one) for one in viewpoint_list)
+        # With a texture, the colours of the simplified vertices are far apart and do not matter.
+        shading: Shading = "plain" if name == "simplified" and "textured" in models else "color"
+        drawings += (
+            _Drawing(_make_file_name(name, one), model, one, shading=shading) for one in viewpoint_list
+        )
         if name == "simplified":
             drawings[-1] = drawings[-1]._replace(with_triangles="simplified-triangles.png")
         if name == "textured" and color_by_photo is not None:
