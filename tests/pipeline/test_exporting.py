@@ -46,6 +46,7 @@ def test_without_a_texture_there_is_a_file_with_colours_of_vertices_that_stands(
 
     run(SCAN, tmp_path, config("upright.up=+x", "export.web=true"))
     assert not (tmp_path / "simplified.glb").exists()
+    plain = read_mesh(tmp_path / "simplified.ply")
     textured, web = read_mesh(tmp_path / "textured.glb"), read_mesh(tmp_path / "web.glb")
     assert textured.up == web.up == pytest.approx((1, 0, 0))
     np.testing.assert_allclose(textured.vertices.min(axis=0), plain.vertices.min(axis=0), atol=1e-5)

@@ -60,6 +60,7 @@ def test_views_become_a_mesh_where_the_scene_is(folder: Path, tmp_path: Path) ->
         "depth",
         "fuse",
         "clean",
+        "refine",
         "upright",
         "simplify",
         "texture",

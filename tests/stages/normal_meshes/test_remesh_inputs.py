@@ -126,7 +126,7 @@ def test_pinched_vertices_are_split_and_the_input_is_still_named() -> None:
     mesh = two_balls_that_touch()
     assert topology(mesh).nonmanifold_vertices == 1
     found = remesh(mesh, confidence=mesh.vertices[:, 2], levels=2, base_triangles=160, tolerance=5e-8)
-    assert "1 pinched vertex was split" in str(found.diagnostics[0])
+    assert any("1 pinched vertex was split" in str(diagnostic) for diagnostic in found.diagnostics)
     assert topology(found.mesh).is_manifold
     assert topology(found.mesh).components == 2
     apart = np.abs(found.base.vertices - mesh.vertices[found.base_source])

@@ -187,11 +187,11 @@ def test_what_is_there_while_fitting_is_the_mesh_not_fitted(monkeypatch: pytest.
         told.append((done, total))
         return False
 
-    monkeypatch.setattr("scanloom.stages.simplification.quadric.run.fitted", ctrl_c)
+    monkeypatch.setattr("scanloom.stages.simplification.quadric.run.fit_to_input", ctrl_c)
     with pytest.raises(KeyboardInterrupt):
         simplify(mesh, ratio=0.1)
     results = [simplify(mesh, ratio=0.1, keep_on_interrupt=True)]
-    monkeypatch.setattr("scanloom.stages.simplification.quadric.run.fitted", asks)
+    monkeypatch.setattr("scanloom.stages.simplification.quadric.run.fit_to_input", asks)
     results.append(simplify(mesh, ratio=0.1, progress=stop))
     assert told[-1] == (2880, 2880)
     for result in results:

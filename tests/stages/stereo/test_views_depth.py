@@ -163,7 +163,7 @@ def test_nothing_is_kept_outside_a_stated_box() -> None:
     scan, truth = posed_scene.make_posed_scan()
     ball = np.array([[-0.23, -0.23, -0.23], [0.23, 0.23, 0.0]])
     with collecting() as diagnostics:
-        (_, result) = list(views_depth(replace(scan, box=ball)))[3]
+        (_, result) = list(views_depth(replace(scan, bounding_box=ball)))[3]
     # Much of what the views show is outside.
     assert [one.code for one in diagnostics] == [DEPTH_COVERAGE_LOW.name]
     at = np.array(scan.frames[3].world_from_camera)
@@ -404,7 +404,7 @@ def test_damaged_images_are_skipped_up_to_a_share(tmp_path) -> None:
     assert [isinstance(result, SkippedFrame) for result in results] == [True, True] + [False] * 5
     assert "broken.png" in results[0].reason
     assert "120×90" in results[1].reason
-    with pytest.raises(InputError, match="max_skipped_ratio"):
+    with pytest.raises(InputError, match="max_skipped allows a ratio of 0.1"):
         list(views_depth(replace(scan, frames=frames), DepthParams(max_skipped_ratio=0.1)))
 
 

@@ -117,9 +117,9 @@ def test_a_part_is_painted_from_the_photos_that_may_show_it(monkeypatch: pytest.
     at_once = texture(wall(40), frames, format="png", alignment_iterations=0)
     asked = []
 
-    def watched(*given, numbers=None, **named):
-        asked.append(numbers)
-        return sample_photos(*given, photo_indices=numbers, **named)
+    def watched(*given, photo_indices=None, **named):
+        asked.append(photo_indices)
+        return sample_photos(*given, photo_indices=photo_indices, **named)
 
     monkeypatch.setattr(photo_painting, "sample_photos", watched)
     monkeypatch.setattr(photo_painting, "_MIN_BATCH_BYTES", 6e6)
