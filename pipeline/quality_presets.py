@@ -1,8 +1,7 @@
 """Quality presets: initial parameter values of a run, chosen by name.
 
-Each preset lists only the values it changes, so that other stages keep their cached results. No preset sets
-the degree of simplification: error bounds are a requirement of the user. docs/quality.md compares the
-presets.
+Each preset lists only the values it changes, so that other stages keep their cached results. docs/quality.md
+compares the presets.
 """
 
 from __future__ import annotations
@@ -17,6 +16,7 @@ QUALITIES: Mapping[str, Mapping[str, Mapping[str, Any]]] = {
     "draft": {
         "scan": {"max_frames": 50},
         "fuse": {"voxel_factor": 2.0},
+        "simplify": {"noise_factor": 3.0},
         "texture": {"texels_per_pixel": 0.6, "alignment_iterations": 0},
         "compare": {"samples": 20_000},
         "report": {"pictures": False},
@@ -26,6 +26,7 @@ QUALITIES: Mapping[str, Mapping[str, Mapping[str, Any]]] = {
     "best": {
         "depth": {"matcher": "hh4", "sgbm": {"left_right": "match"}},
         "fuse": {"voxel_factor": 0.7},
+        "simplify": {"noise_factor": 1.0},
         "texture": {"max_texels": 256.0},
     },
 }

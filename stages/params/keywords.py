@@ -400,6 +400,7 @@ class SharedKeywords(TypedDict, total=False):
     ratio: float | None
     max_shape: float | None
     max_color: float | None
+    noise_factor: float
     drop_below: float | None
     attribute_scale: float | None
     fit: bool
@@ -415,6 +416,7 @@ class SimplifyKeywords(TypedDict, total=False):
     ratio: float | None
     max_shape: float | None
     max_color: float | None
+    noise_factor: float
     drop_below: float | None
     attribute_scale: float | None
     fit: bool

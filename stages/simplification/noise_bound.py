@@ -8,29 +8,32 @@ from numpy.typing import ArrayLike, NDArray
 from scanloom.stages.diagnostics.errors import UsageError
 from scanloom.stages.simplification.codes import USAGE_REGION_INVALID
 
-# A vertex may deviate by this many standard deviations. With a texture, held-out photos then score within
-# 0.1 dB of the unsimplified mesh (docs/measured.md).
-_MAX_DEVIATIONS = 2.0
 # Quantiles between which deviations are used. Beyond the median, distant surface would lose shape that can be
 # seen; few vertices are below the other one.
 _QUANTILES = (0.1, 0.5)
 
 
-def derive_noise_bound(deviations: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
+def derive_noise_bound(
+    deviations: NDArray[np.float64], factor: float
+) -> tuple[float, NDArray[np.float64]]:
     """Derive a bound on shape from the standard deviation of each vertex.
+
+    With a texture and a factor of 2, held-out photos score within 0.1 dB of the unsimplified mesh
+    (docs/measured.md).
 
     Parameters
     ----------
     deviations : (n,) metres, at least one of them positive.
+    factor : number of standard deviations that a vertex may deviate.
 
     Returns
     -------
-    The bound, twice the median of the deviations, in metres; and the importance (n,) of each vertex, which
+    The bound, `factor` times the median of the deviations, in metres; and the importance (n,) of each vertex, which
     divides the bound where the deviation is less than the median.
     """
     positive = deviations[deviations > 0]
     low, high = np.quantile(positive, _QUANTILES)
-    return _MAX_DEVIATIONS * float(high), np.asarray(high / deviations.clip(low, high))
+    return factor * float(high), np.asarray(high / deviations.clip(low, high))
 
 
 def check_deviations(deviations: ArrayLike, vertex_count: int) -> NDArray[np.float64]:

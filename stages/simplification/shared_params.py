@@ -64,6 +64,15 @@ class SharedParams:
         low=0,
         common=True,
     )
+    noise_factor: float = param(
+        2.0,
+        "Without a target: maximum distance between both surfaces in standard deviations of the measured "
+        "surface, for meshes that come with them and get a texture.",
+        unit="standard deviations",
+        group=TARGET_GROUP,
+        low=0,
+        low_open=True,
+    )
     drop_below: float | None = param(
         None,
         "Before simplification, remove connected components and fill holes whose bounding box has a shorter "
@@ -115,7 +124,7 @@ class SharedParams:
 
     def __post_init__(self) -> None:
         check_parameters(self)
-        require_finite(self, "max_shape", "max_color", "attribute_scale")
+        require_finite(self, "max_shape", "max_color", "noise_factor", "attribute_scale")
         if self.keep_uv and self.bake:
             raise UsageError(
                 USAGE_OPTIONS_CONFLICT,

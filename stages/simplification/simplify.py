@@ -153,8 +153,8 @@ def simplify(
         must be at least 1, and divides them.
     regions : `scanloom.Sphere` and `scanloom.Box`, which lock their vertices or give them importance.
     deviations : (n,) standard deviation of each vertex in metres, as `refine` measures it. Without a target,
-        each vertex may then deviate by two standard deviations, but at most by twice their median, which is
-        proven (`default_max_shape` of the result). Ignored with a target or a method.
+        each vertex may then deviate by `noise_factor` standard deviations, but at most by as many times
+        their median, which is proven (`default_max_shape` of the result). Ignored with a target or a method.
     record : record all collapses, so that every intermediate mesh can be restored.
     keep_on_interrupt : on Ctrl-C, return the mesh simplified so far instead of raising KeyboardInterrupt.
     progress : called about ten times per second with the numbers of removed triangles and of triangles to
@@ -186,7 +186,9 @@ def simplify(
         )
         bound = None
         if deviations is not None and has_no_goal(params):
-            bound, factors = derive_noise_bound(check_deviations(deviations, len(mesh.vertices)))
+            bound, factors = derive_noise_bound(
+                check_deviations(deviations, len(mesh.vertices)), params.noise_factor
+            )
             params = resolve(SimplifyParams, params, {"max_shape": bound})
             own = control.importance if len(control.importance) else 1.0
             control = replace(control, importance=factors * own)

@@ -35,8 +35,7 @@ def test_stages_that_a_quality_leaves_alone_keep_their_keys(quality):
         if not set(stage.sections) & set(QUALITIES[quality]):
             assert params[0] == params[1], stage.name
             left.append(stage.name)
-    # How far a mesh is simplified, and what of that is proven, is asked for by itself.
-    assert {"clean", "simplify", "adjust"} <= set(left)
+    assert {"clean", "refine", "adjust"} <= set(left)
 
 
 def test_what_is_given_wins_even_where_it_is_the_default():

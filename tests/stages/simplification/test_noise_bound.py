@@ -28,14 +28,14 @@ def make_noisy_square(seed: int) -> tuple[Mesh, np.ndarray]:
 
 
 def test_the_median_gives_the_bound_and_smaller_deviations_an_importance() -> None:
-    bound, importance = derive_noise_bound(np.repeat([0.001, 0.004, 0.02], [30, 40, 30]))
+    bound, importance = derive_noise_bound(np.repeat([0.001, 0.004, 0.02], [30, 40, 30]), 2.0)
     assert bound == pytest.approx(0.008)
     assert importance == pytest.approx(np.repeat([4.0, 1.0, 1.0], [30, 40, 30]))
 
 
 def test_vertices_without_a_deviation_are_as_precise_as_the_best() -> None:
     deviations = np.concatenate([[0.0], np.full(20, 0.001), np.full(79, 0.002)])
-    bound, importance = derive_noise_bound(deviations)
+    bound, importance = derive_noise_bound(deviations, 2.0)
     assert bound == pytest.approx(0.004)
     assert importance[0] == importance.max() == pytest.approx(2.0)
 
@@ -54,6 +54,18 @@ def test_every_vertex_deviates_as_far_as_its_own_noise(seed: int) -> None:
     left = mesh.vertices[:, 0] < 0.4
     assert distances[~left].max() > 2 * deviations[left].max()
     assert len(found.mesh.triangles) < len(mesh.triangles) / 20
+
+
+def test_a_larger_factor_leaves_fewer_triangles() -> None:
+    mesh, deviations = make_noisy_square(0)
+    found = [
+        simplify(mesh, deviations=deviations, attribute_scale=0, noise_factor=factor)
+        for factor in (1.0, 2.0, 3.0)
+    ]
+    assert [one.default_max_shape for one in found] == pytest.approx([0.005, 0.01, 0.015])
+    counts = [len(one.mesh.triangles) for one in found]
+    assert counts == sorted(counts, reverse=True)
+    assert counts[0] > counts[2]
 
 
 def test_a_target_replaces_the_default_bound() -> None:
