@@ -46,8 +46,15 @@ class Changes(dict[str, Any], Generic[P]):
     """Parameters of a class that the user gave, for a command whose defaults are in a file."""
 
 
-# Annotation of a parameter class whose parameters have no options, only `--set`.
-SET_ONLY = "set only"
+@dataclass(frozen=True)
+class OptionsFor:
+    """Annotation of a parameter class: only these parameters have options, all others only `--set`."""
+
+    names: tuple[str, ...]
+
+
+# No parameter of the class has an option.
+SET_ONLY = OptionsFor(())
 
 
 @dataclass(frozen=True)
@@ -70,20 +77,20 @@ class ParameterGroup:
     ----------
     section : name of the argument, and of the section in `--set`.
     is_changes : the command gets the parameters that the user gave, instead of an instance.
-    is_set_only : common parameters have no options.
+    only : common parameters that have options; None for all.
     """
 
     section: str
     cls: type
     is_changes: bool = False
-    is_set_only: bool = False
+    only: tuple[str, ...] | None = None
 
     @property
     def options(self) -> dict[str, str]:
         """Map option names to the parameters that they set."""
-        if self.is_set_only:
-            return {}
         names = [name for name, about in describe_all(self.cls).items() if about.common]
+        if self.only is not None:
+            names = [name for name in names if name in self.only]
         return {name.rpartition(".")[2]: name for name in names}
 
 
@@ -182,12 +189,13 @@ def parameter_groups(function: Callable[..., None]) -> list[ParameterGroup]:
     """Return the arguments of a command that are parameter classes."""
     groups = []
     for name, hint in get_type_hints(function, include_extras=True).items():
-        is_set_only = get_origin(hint) is Annotated and SET_ONLY in hint.__metadata__
-        cls = get_args(hint)[0] if is_set_only else hint
+        metadata = hint.__metadata__ if get_origin(hint) is Annotated else ()
+        only = next((one.names for one in metadata if isinstance(one, OptionsFor)), None)
+        cls = hint if only is None else get_args(hint)[0]
         is_changes = get_origin(cls) is Changes
         cls = get_args(cls)[0] if is_changes else cls
         if isinstance(cls, type) and is_dataclass(cls):
-            groups.append(ParameterGroup(name, cls, is_changes, is_set_only))
+            groups.append(ParameterGroup(name, cls, is_changes, only))
     return groups
 
 

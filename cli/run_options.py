@@ -39,23 +39,11 @@ UntilOption = Annotated[
         show_default=False,
     ),
 ]
-OverwriteOption = Annotated[
-    bool,
-    typer.Option("--overwrite", help="Replace files in OUT that are not from a run, or were changed since."),
-]
 DryRunOption = Annotated[
     bool,
     typer.Option(
         "--dry-run",
         help="Print which stages would run, why, and the expected time and memory. Write nothing.",
-    ),
-]
-CacheOption = Annotated[
-    Path | None,
-    typer.Option(
-        metavar="DIR",
-        help="Folder that keeps the results of stages. Default: $SCANLOOM_CACHE, or OUT/cache.",
-        show_default=False,
     ),
 ]
 
@@ -68,7 +56,6 @@ class LimitsParams:
         None,
         "Memory limit, such as `8 GB` (a number alone is MB). Work that would exceed the limit stops "
         "with an error.",
-        common=True,
     )
     disk: str | None = param(
         None,
@@ -94,14 +81,25 @@ class LimitsParams:
 
 @dataclass(frozen=True, kw_only=True)
 class RunParams:
-    """Stages that run although their results are cached."""
+    """Cache of a run, and files and results that it replaces."""
 
+    cache: str | None = param(
+        None,
+        "Folder that keeps the results of stages. Default: $SCANLOOM_CACHE, or OUT/cache.",
+        is_path=True,
+    )
+    overwrite: bool = param(False, "Replace files in OUT that are not from a run, or were changed since.")
     force: str | None = param(
         None, "Stages that run again although their results are cached, such as `fuse` or `fuse,clean`."
     )
 
     def __post_init__(self) -> None:
         check_parameters(self)
+
+    @property
+    def cache_folder(self) -> Path | None:
+        """Return the folder of the cache; None for the default."""
+        return None if self.cache is None else Path(self.cache)
 
     @property
     def forced(self) -> tuple[str, ...]:
@@ -125,19 +123,29 @@ ConfigWords = Annotated[list[str], SetWords(config_sections)]
 
 
 def load_run_config(
-    file: Path | None, quality: str | None, words: Sequence[str], scan: Mapping[str, Any] | None = None
+    file: Path | None,
+    quality: str | None,
+    words: Sequence[str],
+    scan: Mapping[str, Any] | None = None,
+    simplify: Mapping[str, Any] | None = None,
 ) -> Config:
     """Build the configuration from options, with all checks that need no scan.
 
     Parameters
     ----------
     words : of `--set`.
-    scan : parameters of the section `scan`, from options.
+    scan, simplify : parameters of these sections, from options.
     """
+    from scanloom.stages.params import resolve
     from scanloom.stages.simplification.method_selection import select_method
+    from scanloom.stages.simplification.params import SimplifyParams
 
     config = load_config(file, quality).set(words)
-    config = replace(config, scan=replace(config.scan, **(scan or {})))
+    config = replace(
+        config,
+        scan=replace(config.scan, **(scan or {})),
+        simplify=resolve(SimplifyParams, config.simplify, dict(simplify or {})),
+    )
     # Report conflicting parameters of `simplify` now, not after hours of fusion.
     select_method(config.simplify)
     return config

@@ -107,9 +107,8 @@ def test_the_snakefile_calls_run_with_words_it_understands() -> None:
     command = "".join(re.findall(r'"([^"]*)"', rule)).partition("scanloom run ")[2].partition("2>")[0]
     words = re.sub(r"\{resources\.\w+\}", "4000", re.sub(r"\{WORDS\}", "--quality draft", command)).split()
     context = get_command(app()).commands["run"].make_context("run", list(words))  # type: ignore[attr-defined]
-    assert context.params["memory"] == "4000"
-    assert context.params["cache"] is not None
-    assert "--cache" in words
+    assert [word.partition("=")[0] for word in context.params["set_words"]] == ["run.cache", "limits.memory"]
+    assert "limits.memory=4000" in words
 
 
 def test_pictures_of_recipes_are_small() -> None:

@@ -18,13 +18,11 @@ from scanloom.cli.output import Output
 from scanloom.cli.paths import require_writable
 from scanloom.cli.quality_option import QualityOption
 from scanloom.cli.run_options import (
-    CacheOption,
     ConfigOption,
     ConfigWords,
     DryRunOption,
     LimitsParams,
     OutOption,
-    OverwriteOption,
     RunParams,
     UntilOption,
     load_run_config,
@@ -80,9 +78,7 @@ def batch(
     config_file: ConfigOption = None,
     quality: QualityOption = None,
     until: UntilOption = None,
-    overwrite: OverwriteOption = False,
     dry_run: DryRunOption = False,
-    cache: CacheOption = None,
     queue_only: Annotated[
         bool,
         typer.Option("--queue-only", help="Write the queue for scanloom worker OUT, and process nothing."),
@@ -97,7 +93,7 @@ def batch(
 
     --queue-only lets several machines share the work: run scanloom worker OUT on each.
 
-    Example: scanloom batch scans -o out --memory '16 GB' --set simplify.max_shape=0.005
+    Example: scanloom batch scans -o out --set limits.memory='16 GB' --set simplify.max_shape=0.005
     """
     from scanloom.pipeline.batch.job_queue import BatchSettings, make_jobs
     from scanloom.pipeline.batch.open_batch import open_queue
@@ -109,12 +105,12 @@ def batch(
         raise UsageError(
             BATCH_OPTIONS_CONFLICT,
             "--queue-only processes nothing",
-            remedy="give --jobs, worker.threads, --memory and limits.disk to scanloom worker.",
+            remedy="give --jobs, worker.threads, limits.memory and limits.disk to scanloom worker.",
         )
     config = _portable(load_run_config(config_file, quality, words))
     _require_stages(until, run.forced)
     folder, target = folder.resolve(), target.resolve()
-    where = get_cache_folder(target, cache)
+    where = get_cache_folder(target, run.cache_folder)
     if where == folder or target == folder:
         raise UsageError(
             BATCH_ALREADY_EXISTS,
@@ -125,7 +121,7 @@ def batch(
     exclude = split_words(batch.exclude)
     scans, others = _find_scans(folder, config, include or (), exclude, [target, where])
     require_writable(target)
-    if not overwrite:
+    if not run.overwrite:
         check_outputs_replaceable(target)
     _remark_others(others, out)
     queued = make_jobs(scans, target)
@@ -133,7 +129,7 @@ def batch(
         config=config.dumps(),
         until=until,
         force=run.forced,
-        overwrite=overwrite,
+        overwrite=run.overwrite,
         cache=get_relative_path(where, target),
         **({} if worker.worker_timeout is None else {"take_over_after": worker.worker_timeout}),
         **({} if worker.timeout is None else {"timeout": worker.timeout}),

@@ -4,28 +4,26 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
-from scanloom.cli.options import Changes
+from scanloom.cli.options import Changes, OptionsFor
 from scanloom.cli.output import Output, format_size, format_table
 from scanloom.cli.paths import require_scan, require_writable
 from scanloom.cli.plot_option import require_plot
 from scanloom.cli.quality_option import QualityOption
 from scanloom.cli.run_options import (
-    CacheOption,
     ConfigOption,
     ConfigWords,
     DryRunOption,
     LimitsParams,
     OutOption,
-    OverwriteOption,
     RunParams,
     UntilOption,
     load_run_config,
 )
 from scanloom.cli.run_progress import show_run_progress
 from scanloom.cli.scan_argument import ScanFolder
-from scanloom.stages import ScanParams, UsageError
+from scanloom.stages import ScanParams, SimplifyParams, UsageError
 from scanloom.stages.diagnostics.codes import USAGE_OPTIONS_CONFLICT
 from scanloom.stages.params import param
 from scanloom.stages.printing import format_upper_bound
@@ -37,7 +35,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True)
 class SingleRunParams(RunParams):
-    """Stages that run although their results are cached, and the plot of their times."""
+    """Cache of a run, files and results that it replaces, and the plot of its times."""
 
     plot: str | None = param(
         None,
@@ -50,6 +48,7 @@ def run(
     folder: ScanFolder,
     target: OutOption,
     scan: Changes[ScanParams],
+    simplify: Annotated[Changes[SimplifyParams], OptionsFor(("triangles", "ratio", "max_shape"))],
     limits: LimitsParams,
     run: SingleRunParams,
     words: ConfigWords,
@@ -57,9 +56,7 @@ def run(
     config_file: ConfigOption = None,
     quality: QualityOption = None,
     until: UntilOption = None,
-    overwrite: OverwriteOption = False,
     dry_run: DryRunOption = False,
-    cache: CacheOption = None,
 ) -> None:
     """Turn a scan into a textured mesh.
 
@@ -76,7 +73,7 @@ def run(
 
     Example: scanloom run my_scan -o my_mesh
 
-    Example: scanloom run my_scan -o my_mesh --set fuse.voxel_size=0.01 --set simplify.max_shape=0.005
+    Example: scanloom run my_scan -o my_mesh --set fuse.voxel_size=1cm --max-shape 5mm
     """
     from scanloom.pipeline.run.dry_run import predict_run
     from scanloom.pipeline.run.limits import Limits
@@ -90,13 +87,13 @@ def run(
             "run.plot plots the times of stages, but --dry-run runs none; omit one of them.",
         )
     require_plot(plot)
-    config = load_run_config(config_file, quality, words, scan)
+    config = load_run_config(config_file, quality, words, scan, simplify)
     require_writable(target)
     how: dict[str, Any] = {
         "until": until,
         "force": run.forced,
-        "cache_dir": cache,
-        "overwrite": overwrite,
+        "cache_dir": run.cache_folder,
+        "overwrite": run.overwrite,
     }
     if dry_run:
         _print_plan(predict_run(folder, target, config, **how), out)

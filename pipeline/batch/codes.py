@@ -22,7 +22,7 @@ BATCH_PROCESS_ENDED = Code(
     "Scan whose process ended",
     """
 The scan is run again, continuing from the cache. It is given up after two crashes, or after six attempts
-that end in the same stage. With `--memory`, a scan is stopped before the system kills its process, and
+that end in the same stage. With `limits.memory`, a scan is stopped before the system kills its process, and
 the message suggests a voxel size that fits. The output of the processes is in `queue/*/workers/*.log`.
 """,
     (

@@ -81,7 +81,7 @@ def check_outputs_replaceable(out: Path) -> None:
                 BATCH_ALREADY_EXISTS,
                 "this file was not written by a batch",
                 path,
-                remedy="move it, choose another output folder, or use --overwrite.",
+                remedy="move it, choose another output folder, or give run.overwrite=true.",
             )
 
 

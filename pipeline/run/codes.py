@@ -8,7 +8,7 @@ BATCH_LIMIT_EXCEEDED = Code(
     "batch.limit-exceeded",
     "Memory or disk limit exceeded",
     """
-Exit code 1, also of `run --memory` and `limits.disk`. Parameters are never changed automatically: set the
+Exit code 1, also of `limits.memory` and `limits.disk`. Parameters are never changed automatically: set the
 parameter in the message, or increase the limit. Expected use is an estimate until a similar scan was
 processed with this cache.
 """,
@@ -19,7 +19,7 @@ REPORT_NO_RUN = Code(
     "Folder without results of a run",
     """
 `coverage` continues a run. It needs the output folder of `scanloom run`, the cache of that run, and the
-scan. Give a cache in another folder with `--cache`, and a scan that was moved with `--scan`.
+scan. Give a cache in another folder (`run.cache`) with `--cache`, and a scan that was moved with `--scan`.
 """,
     "my_mesh: this folder has no results of a run; give the output folder of `scanloom run`.",
 )

@@ -254,7 +254,7 @@ class OutputFolder:
                 FILE_OUTPUT_REFUSED,
                 "this file was not written by a run, or was edited since",
                 path,
-                remedy="move it, choose another output folder, or use --overwrite.",
+                remedy="move it, choose another output folder, or give run.overwrite=true.",
             )
 
     def _write_record(self) -> None:

@@ -83,7 +83,7 @@ def _read_request(out: Path, cache_dir: Path | None) -> RunRequest:
             REPORT_NO_RUN,
             "the cache {cache} has no record of this run",
             out,
-            remedy="give the cache of the run with --cache, or run `scanloom run` again.",
+            remedy="give the cache of the run, or run `scanloom run` again.",
             cache=cache,
         )
     if not (out / "refined.ply").is_file():

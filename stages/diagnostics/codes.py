@@ -59,8 +59,8 @@ MACHINE_DISK_FAILED = Code(
     "A full or failing disk",
     """
 Exit code 1. Finished stages stay in the cache. `scanloom cache prune --max-size "5 GB"` frees space.
-`SCANLOOM_CACHE` or `--cache` put the cache on another disk, and `TMPDIR` the temporary depth maps. Results
-are written atomically, so a full disk leaves no partial files.
+`SCANLOOM_CACHE` or `--set run.cache=DIR` put the cache on another disk, and `TMPDIR` the temporary depth
+maps. Results are written atomically, so a full disk leaves no partial files.
 """,
     "the disk is full; free some space and run again",
 )

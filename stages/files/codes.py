@@ -82,8 +82,8 @@ FILE_OUTPUT_REFUSED = Code(
     "An output path that cannot be written or replaced",
     """
 Only output folders that scanloom has written are replaced. Move the existing folder, choose another
-one, or allow replacing it with `--overwrite`. If a permission is missing, `ls -l` shows the owner of the
-file.
+one, or allow replacing it with `--set run.overwrite=true`. If a permission is missing, `ls -l` shows the
+owner of the file.
 """,
     "/srv/out: the permission is missing",
 )

@@ -13,9 +13,7 @@ from scanloom.stages.simplification.codes import USAGE_REGION_INVALID
 _QUANTILES = (0.1, 0.5)
 
 
-def derive_noise_bound(
-    deviations: NDArray[np.float64], factor: float
-) -> tuple[float, NDArray[np.float64]]:
+def derive_noise_bound(deviations: NDArray[np.float64], factor: float) -> tuple[float, NDArray[np.float64]]:
     """Derive a bound on shape from the standard deviation of each vertex.
 
     With a texture and a factor of 2, held-out photos score within 0.1 dB of the unsimplified mesh
@@ -28,8 +26,8 @@ def derive_noise_bound(
 
     Returns
     -------
-    The bound, `factor` times the median of the deviations, in metres; and the importance (n,) of each vertex, which
-    divides the bound where the deviation is less than the median.
+    The bound, `factor` times the median of the deviations, in metres; and the importance (n,) of each vertex,
+    which divides the bound where the deviation is less than the median.
     """
     positive = deviations[deviations > 0]
     low, high = np.quantile(positive, _QUANTILES)

@@ -118,7 +118,7 @@ def test_a_queue_is_worked_on_by_whoever_comes(
     shutil.move(out, tmp_path / "elsewhere" / "out")
     # As many at a time as are expected to fit, of which none says more than all that there is.
     monkeypatch.chdir(tmp_path / "elsewhere")
-    worked = scanloom("worker", "out", "--memory", "1 GB", "--set", "worker.worker_timeout=30")
+    worked = scanloom("worker", "out", "--set", "limits.memory=1 GB", "--set", "worker.worker_timeout=30")
     assert worked.exit_code == 1
     assert re.search(r"^1 at a time, in 1\.0 GB of memory$", worked.stderr, re.MULTILINE)
     assert re.search(r"^worker \S+, 3 scans$", worked.stderr, re.MULTILINE)
@@ -228,14 +228,22 @@ def test_ctrl_c_and_the_word_of_a_scheduler_end_a_worker_softly(scans: Path, tmp
             2,
             "the output folder and the cache cannot be the folder of the scans",
         ),
-        (("batch", "scans", "-o", "out", "--cache", "scans"), 2, "the output folder and the cache cannot be"),
+        (
+            ("batch", "scans", "-o", "out", "--set", "run.cache=scans"),
+            2,
+            "the output folder and the cache cannot be",
+        ),
         (("batch", "scans", "-o", "out", "--jobs", "many"), 2, "--jobs is many; it must be a number"),
         (("batch", "scans", "-o", "out", "--jobs", "0"), 2, "--jobs is 0"),
-        (("batch", "scans", "-o", "out", "--memory", "lots"), 2, "--memory is 'lots'; it must be a size"),
         (
-            ("batch", "scans", "-o", "out", "--memory", "0"),
+            ("batch", "scans", "-o", "out", "--set", "limits.memory=lots"),
             2,
-            "--memory is 0, which would exclude every scan; omit it for no limit.",
+            "limits.memory is 'lots'; it must be a size",
+        ),
+        (
+            ("batch", "scans", "-o", "out", "--set", "limits.memory=0"),
+            2,
+            "limits.memory is 0, which would exclude every scan; omit it for no limit.",
         ),
         (
             ("batch", "scans", "-o", "out", "--set", "worker.timeout=inf"),
@@ -292,7 +300,9 @@ def test_files_that_stand_here_are_named_for_workers_elsewhere(
 
 
 def test_a_limit_of_a_run_says_what_would_fit(scanloom: Run, scans: Path, tmp_path: Path):
-    ran = scanloom("run", scans / "scan-0000", "-o", tmp_path / "out", "--memory", "200 MB", "--json")
+    ran = scanloom(
+        "run", scans / "scan-0000", "-o", tmp_path / "out", "--set", "limits.memory=200 MB", "--json"
+    )
     assert ran.exit_code == 1
     assert "more than the limit of 200 MB; no voxel size fits, because" in ran.json["error"]
     assert not (tmp_path / "out" / "fused.ply").exists()

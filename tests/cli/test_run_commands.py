@@ -41,7 +41,16 @@ def test_a_scan_becomes_a_mesh_and_a_second_run_is_all_cached(
         "--set",
         "report.width=64",
     )
-    words = ("run", tiny_scan, "-o", tmp_path / "out", "--cache", tmp_path / "cache", "--json", *small_report)
+    words = (
+        "run",
+        tiny_scan,
+        "-o",
+        tmp_path / "out",
+        "--set",
+        f"run.cache={tmp_path / 'cache'}",
+        "--json",
+        *small_report,
+    )
     first = scanloom(*words)
     assert first.exit_code == 0, first.stderr
     assert first.stderr == ""
@@ -66,7 +75,16 @@ def test_a_scan_becomes_a_mesh_and_a_second_run_is_all_cached(
 def test_a_person_gets_a_line_a_stage_and_the_place_of_the_results(
     scanloom: Run, tiny_scan: Path, tmp_path: Path
 ) -> None:
-    words = ("run", tiny_scan, "-o", tmp_path / "out", "--cache", tmp_path / "cache", "--until", "clean")
+    words = (
+        "run",
+        tiny_scan,
+        "-o",
+        tmp_path / "out",
+        "--set",
+        f"run.cache={tmp_path / 'cache'}",
+        "--until",
+        "clean",
+    )
     ran = scanloom(*words)
     assert ran.exit_code == 0, ran.stderr
     assert re.search(r"^fuse +[\d.]+ s .*voxel size .* m.*first run", ran.stderr, re.MULTILINE)
@@ -103,7 +121,16 @@ def test_a_recording_goes_the_whole_way(scanloom: Run, tmp_path: Path) -> None:
     (tmp_path / "still.tum").write_text(
         "".join(f"{(start + n * 33_000_000) / 1e9:.9f} 0 0 {n / 1000} 0 0 0 1\n" for n in range(3))
     )
-    words = ("run", file, "-o", tmp_path / "out", "--cache", tmp_path / "cache", "--until", "fuse")
+    words = (
+        "run",
+        file,
+        "-o",
+        tmp_path / "out",
+        "--set",
+        f"run.cache={tmp_path / 'cache'}",
+        "--until",
+        "fuse",
+    )
     ran = scanloom(*words, "--set", f"scan.poses={tmp_path / 'still.tum'}", "--json")
     assert ran.exit_code == 0, ran.stderr
     assert ran.json["scan"]["frames"] == 3
@@ -115,7 +142,16 @@ def test_a_damaged_frame_is_left_out_and_told(scanloom: Run, tiny_scan: Path, tm
     shutil.copytree(tiny_scan, folder)
     depth = folder / "depth-3.png"
     depth.write_bytes(depth.read_bytes()[:100])
-    words = ("run", folder, "-o", tmp_path / "out", "--cache", tmp_path / "cache", "--until", "fuse")
+    words = (
+        "run",
+        folder,
+        "-o",
+        tmp_path / "out",
+        "--set",
+        f"run.cache={tmp_path / 'cache'}",
+        "--until",
+        "fuse",
+    )
     ran = scanloom(*words)
     assert ran.exit_code == 0, ran.stderr
     assert re.search(
@@ -134,8 +170,8 @@ def test_scan_options_reach_run_as_they_do_inspect(scanloom: Run, tiny_scan: Pat
         tiny_scan,
         "-o",
         tmp_path / "out",
-        "--cache",
-        tmp_path / "cache",
+        "--set",
+        f"run.cache={tmp_path / 'cache'}",
         "--until",
         "fuse",
         "--json",
@@ -256,11 +292,11 @@ def test_what_is_wrong_is_said_in_one_sentence(
     monkeypatch.delenv("SCANLOOM_CACHE", raising=False)
     Path("empty").mkdir()
     Path("file").write_text("not TOML")
-    ran = scanloom(*words, *(("--cache", "cache") if words[0] == "run" else ()))
+    ran = scanloom(*words, *(("--set", "run.cache=cache") if words[0] == "run" else ()))
     assert ran.exit_code == exit_code, ran.stderr
     assert sentence in ran.stderr
     assert ran.stderr.count("\n") == 1
-    as_json = scanloom(*words, *(("--cache", "cache") if words[0] == "run" else ()), "--json")
+    as_json = scanloom(*words, *(("--set", "run.cache=cache") if words[0] == "run" else ()), "--json")
     assert as_json.json["exit_code"] == exit_code
     assert sentence in as_json.json["error"]
     assert sorted(path.name for path in tmp_path.iterdir()) == ["empty", "file"]
@@ -302,7 +338,7 @@ def test_the_printed_config_is_the_defaults(scanloom: Run, tmp_path: Path) -> No
 
 def test_the_cache_is_listed_verified_and_pruned(scanloom: Run, tiny_scan: Path, tmp_path: Path) -> None:
     cache = tmp_path / "cache"
-    scanloom("run", tiny_scan, "-o", tmp_path / "out", "--cache", cache, "--until", "clean")
+    scanloom("run", tiny_scan, "-o", tmp_path / "out", "--set", f"run.cache={cache}", "--until", "clean")
     entries = scanloom("cache", "ls", cache, "--json").json["entries"]
     assert {"fuse", "clean"} <= {entry["stage"] for entry in entries}
     assert scanloom("cache", "verify", cache).exit_code == 0
@@ -402,7 +438,7 @@ def test_a_reader_that_leaves_early_causes_no_traceback() -> None:
 @pytest.mark.slow
 def test_ctrl_c_ends_a_run_with_130_and_leaves_nothing_half_made(tiny_scan: Path, tmp_path: Path) -> None:
     out, cache = tmp_path / "out", tmp_path / "cache"
-    words = ["run", str(tiny_scan), "-o", str(out), "--cache", str(cache)]
+    words = ["run", str(tiny_scan), "-o", str(out), "--set", f"run.cache={cache}"]
     program = subprocess.Popen([*SCANLOOM, *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     assert program.stderr is not None
     assert "6 frames" in program.stderr.readline()
@@ -450,7 +486,7 @@ def test_a_dry_run_says_what_would_be_done_and_writes_nothing(
     assert real.exit_code == 3
     assert real.stderr.splitlines()[-1].endswith(
         "simplified.ply: this file was not written by a run, or was edited since; move it, choose another "
-        "output folder, or use --overwrite."
+        "output folder, or give --set run.overwrite=true."
     )
 
 
@@ -496,7 +532,7 @@ def test_a_run_leaves_a_page_that_is_its_own(scanloom: Run, tiny_scan: Path, tmp
     assert page.read_text() == "mine"
     assert scanloom(*words, "--set", "report.page=false").exit_code == 0
     assert page.read_text() == "mine"
-    assert scanloom(*words, "--overwrite").exit_code == 0
+    assert scanloom(*words, "--set", "run.overwrite=true").exit_code == 0
     assert page.read_text() != "mine"
 
 

@@ -106,7 +106,7 @@ def test_what_is_odd_about_a_scan_is_told_by_every_command_that_reads_it(
     scanloom: Run, odd_scan: Path, tmp_path: Path
 ) -> None:
     odd = "1 timestamps are repeated"
-    cache = ("--cache", tmp_path / "cache", "--until", "fuse")
+    cache = ("--set", f"run.cache={tmp_path / 'cache'}", "--until", "fuse")
     for words in (
         ("fuse", odd_scan, tmp_path / "fused.ply"),
         ("run", odd_scan, "-o", tmp_path / "out", *cache),

@@ -199,7 +199,7 @@ def test_what_no_run_has_left_is_refused(here: Path, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"refined\.ply is missing"):
         continue_run(here / "out", "coverage", {})
     shutil.rmtree(here / "out" / "cache")
-    with pytest.raises(InputError, match="has no record of this run; give the cache of the run with --cache"):
+    with pytest.raises(InputError, match="has no record of this run; give the cache of the run"):
         continue_run(here / "out", "coverage", {})
 
 

@@ -478,7 +478,7 @@ def test_a_file_that_no_run_has_placed_is_not_replaced(rgbd, tmp_path):
     for name in ("fused.ply", "notes.txt"):
         (out / name).write_bytes(b"mine")
     with pytest.raises(
-        InputError, match=r"fused\.ply: this file was not written by a run, .* --overwrite"
+        InputError, match=r"fused\.ply: this file was not written by a run, .* give run.overwrite"
     ) as refused:
         run(rgbd, out, quick(), until="fuse")
     assert "\n" not in str(refused.value)

@@ -404,7 +404,7 @@ def test_damaged_images_are_skipped_up_to_a_share(tmp_path) -> None:
     assert [isinstance(result, SkippedFrame) for result in results] == [True, True] + [False] * 5
     assert "broken.png" in results[0].reason
     assert "120×90" in results[1].reason
-    with pytest.raises(InputError, match="max_skipped allows a ratio of 0.1"):
+    with pytest.raises(InputError, match=r"max_skipped allows a ratio of 0\.1"):
         list(views_depth(replace(scan, frames=frames), DepthParams(max_skipped_ratio=0.1)))
 
 
