@@ -53,7 +53,7 @@ if TYPE_CHECKING:
 
     from scanloom.stages.params.keywords import RefineKeywords
 
-RESULT_VERSION = 3
+RESULT_VERSION = 4
 
 # Corrections towards the depth measurements. The second one starts from a better surface.
 _CORRECTION_COUNT = 2

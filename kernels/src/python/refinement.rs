@@ -143,7 +143,7 @@ pub fn smooth_boundaries(
             let normals =
                 vertex_normals(&connectivity, &area_normals(&connectivity, &points, threads), threads);
             let max_move = max_move_ratio * mean_edge(&connectivity, &points);
-            smooth_boundaries_of(&connectivity, &mut points, &normals, max_move);
+            smooth_boundaries_of(&connectivity, &mut points, &normals, max_move, threads);
             Ok(points)
         })?;
         column_array(py, &points, 0..3)

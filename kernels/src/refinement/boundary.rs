@@ -4,16 +4,26 @@
 //! the neighbours is followed by a slightly larger one away from them, so that loops do not shrink (Taubin, "A
 //! signal processing approach to fair surface design", 1995).
 
-use super::normal_filter::limit_move;
+use super::folds::undo_folds;
+use super::normal_filter::{area_normals, limit_move};
 use crate::base::geometry::{Vec3, add_scaled, dot};
 use crate::base::ids::VertexId;
 use crate::mesh::connectivity::Connectivity;
 
 const STEPS: [f64; 2] = [0.5, -0.53];
 const ITERATIONS: usize = 10;
+/// Minimum cosine between the normals of a triangle before and after (60°).
+const MIN_COSINE: f64 = 0.5;
 
-/// Smooth the boundaries. `normals` are unit normals of the vertices; no vertex moves farther than `max_move`.
-pub fn smooth_boundaries(connectivity: &Connectivity, points: &mut [Vec3], normals: &[Vec3], max_move: f64) {
+/// Smooth the boundaries. `normals` are unit normals of the vertices; no vertex moves farther than `max_move`,
+/// and no triangle folds.
+pub fn smooth_boundaries(
+    connectivity: &Connectivity,
+    points: &mut [Vec3],
+    normals: &[Vec3],
+    max_move: f64,
+    threads: usize,
+) {
     let origins = points.to_vec();
     // Each boundary vertex with its neighbours on the boundary.
     let rim: Vec<(usize, [usize; 2])> = connectivity
@@ -37,4 +47,6 @@ pub fn smooth_boundaries(connectivity: &Connectivity, points: &mut [Vec3], norma
             .collect();
         rim.iter().zip(moved).for_each(|(&(v, _), to)| points[v] = to);
     }
+    let references = area_normals(connectivity, &origins, threads);
+    undo_folds(connectivity, &origins, points, &references, MIN_COSINE, threads);
 }

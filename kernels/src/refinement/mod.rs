@@ -10,9 +10,11 @@
 //! | [`residual`] | smooth correction towards the measurements |
 //! | [`plane_growth`] | planar patches within the standard deviation of the vertices |
 //! | [`creases`] | vertices moved onto planes, and straight creases between them |
+//! | [`folds`] | steps shortened where they fold triangles |
 
 pub mod boundary;
 pub mod creases;
+pub mod folds;
 pub mod normal_filter;
 pub mod observations;
 pub mod plane_growth;

@@ -4,13 +4,14 @@
 //! correct the filtered one.
 
 use super::creases::{CreaseVertex, snap_to_planes};
+use super::folds::undo_folds;
 use super::normal_filter::{area_normals, filter_normals, fit_vertices, limit_move, vertex_normals};
 use super::observations::{DepthFrame, Observation, observe};
 use super::plane_growth::{FilteredSurface, NO_PLANE, PlaneLimits, grow_planes, label_vertices};
 use super::residual::smooth_residuals;
 use super::short_edges::collapse_short_edges;
 use crate::base::errors::KernelError;
-use crate::base::geometry::{Vec3, add_scaled, distance2, norm2};
+use crate::base::geometry::{Vec3, add_scaled, distance2, norm2, sub};
 use crate::base::ids::{TriangleId, VertexId};
 use crate::base::parallel::collect;
 use crate::mesh::connectivity::Connectivity;
@@ -35,6 +36,9 @@ const FILTER_ITERATIONS: usize = 15;
 
 /// Iterations of the smooth correction: it averages over about as many vertices.
 const CORRECTION_ITERATIONS: usize = 40;
+
+/// Angle by which a step may turn a triangle.
+const MAX_TURN: f64 = 80.0 * DEGREE;
 
 /// Planes: angle of their triangles, heights of their vertices in standard deviations, number of triangles, and
 /// RMS angle by which normals may change across.
@@ -173,6 +177,7 @@ impl Refiner {
             FILTER_ITERATIONS,
             self.threads,
         );
+        self.undo_folds();
         self.start_observing();
     }
 
@@ -190,6 +195,7 @@ impl Refiner {
             let to = add_scaled(&self.points[v], steps[v], &self.normals[v]);
             limit_move(&self.origins[v], to, self.max_moves[v])
         });
+        self.undo_folds();
         // The normals of the filtered surface tell from where it was seen; those of the input are too noisy.
         self.best_cosines = self.observations.iter().map(|one| one.best_cosine).collect();
         self.start_observing();
@@ -231,14 +237,21 @@ impl Refiner {
             self.threads,
         );
         self.plane_count = planes.len();
-        let creased = snap_to_planes(
+        let mut from = std::mem::take(&mut self.points);
+        let mut creased = snap_to_planes(
             &mut self.connectivity,
             &self.origins,
-            &self.points,
+            &from,
             &planes,
             &self.labels,
             &self.max_moves,
         );
+        for one in &creased.created {
+            let [a, b] = one.ends.map(|v| from[v as usize]);
+            from.push(add_scaled(&a, one.share, &sub(&b, &a)));
+        }
+        let references = area_normals(&self.connectivity, &from, self.threads);
+        undo_folds(&self.connectivity, &from, &mut creased.points, &references, MAX_TURN.cos(), self.threads);
         self.points = creased.points;
         self.created = creased.created;
     }
@@ -272,6 +285,12 @@ impl Refiner {
             labels,
             plane_count: self.plane_count,
         }
+    }
+
+    /// Shorten the moves of vertices whose triangles turn away from their filtered normals.
+    fn undo_folds(&mut self) {
+        let (from, min_cosine) = (&self.origins, MAX_TURN.cos());
+        undo_folds(&self.connectivity, from, &mut self.points, &self.filtered, min_cosine, self.threads);
     }
 
     fn stop_observing(&mut self) {

@@ -220,7 +220,7 @@ fn a_jagged_boundary_becomes_straight_and_does_not_shrink() {
     let connectivity = Connectivity::from_triangles(points.len(), &grid(side)).unwrap();
     let normals = vertex_normals(&connectivity, &area_normals(&connectivity, &points, 1), 1);
     let mut smooth = points.clone();
-    smooth_boundaries(&connectivity, &mut smooth, &normals, SPACING);
+    smooth_boundaries(&connectivity, &mut smooth, &normals, SPACING, 1);
     let middle = &smooth[5..side - 5];
     let mean = middle.iter().map(|p| p[0]).sum::<f64>() / middle.len() as f64;
     assert!((mean + 0.2 * SPACING).abs() < 0.05 * SPACING, "{mean}");

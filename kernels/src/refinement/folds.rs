@@ -1,0 +1,115 @@
+//! No folds: vertices move only as far as their triangles keep their side.
+//!
+//! Smoothing, planes and straight boundaries move vertices by a part of an edge's length, which folds thin
+//! triangles over their neighbours. Next to a fold, steps are halved until it is gone.
+
+use crate::base::geometry::{Vec3, add_scaled, cross, dot, norm2, sub};
+use crate::base::ids::TriangleId;
+use crate::base::parallel::{collect, update};
+use crate::mesh::connectivity::Connectivity;
+
+/// A step is halved up to this many times, then the vertex stays.
+const MAX_HALVINGS: u8 = 4;
+
+/// Maximum number of passes. Each one that halves a step may fold a neighbour.
+const MAX_PASSES: usize = 40;
+
+/// Move points back towards where they were, until no triangle turns too far from its reference normal.
+///
+/// `from` are the positions before. `references` are directions of any length, one per triangle; a triangle
+/// whose cosine with its own is smaller than `min_cosine` is folded. Where a triangle was folded before, its
+/// vertices return to where they were.
+pub fn undo_folds(
+    connectivity: &Connectivity,
+    from: &[Vec3],
+    points: &mut [Vec3],
+    references: &[Vec3],
+    min_cosine: f64,
+    threads: usize,
+) {
+    let mut halvings = vec![0u8; from.len()];
+    for _ in 0..MAX_PASSES {
+        let is_folded: Vec<bool> = collect(connectivity.triangle_slots(), threads, |t| {
+            let corners = connectivity.corners(TriangleId::from_index(t)).map(|v| points[v.index()]);
+            let normal = cross(&sub(&corners[1], &corners[0]), &sub(&corners[2], &corners[0]));
+            let lengths = (norm2(&normal) * norm2(&references[t])).sqrt();
+            dot(&normal, &references[t]) < min_cosine * lengths
+        });
+        let mut is_shortened = vec![false; from.len()];
+        for (t, _) in is_folded.iter().enumerate().filter(|(_, folded)| **folded) {
+            for v in connectivity.corners(TriangleId::from_index(t)).map(|v| v.index()) {
+                is_shortened[v] = halvings[v] <= MAX_HALVINGS && points[v] != from[v];
+            }
+        }
+        if !is_shortened.contains(&true) {
+            return;
+        }
+        update(&mut halvings, threads, |v, halved| *halved += u8::from(is_shortened[v]));
+        update(points, threads, |v, point| {
+            if is_shortened[v] {
+                let share = if halvings[v] > MAX_HALVINGS { 0.0 } else { 0.5 };
+                *point = add_scaled(&from[v], share, &sub(point, &from[v]));
+            }
+        });
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::refinement::normal_filter::area_normals;
+
+    /// Build a flat grid of n² squares.
+    fn grid(n: u32) -> (Vec<Vec3>, Connectivity) {
+        let points: Vec<Vec3> =
+            (0..=n).flat_map(|y| (0..=n).map(move |x| [f64::from(x), f64::from(y), 0.0])).collect();
+        let square = |x, y| {
+            let a = y * (n + 1) + x;
+            [[a, a + 1, a + n + 2], [a, a + n + 2, a + n + 1]]
+        };
+        let triangles: Vec<[u32; 3]> = (0..n).flat_map(|y| (0..n).flat_map(move |x| square(x, y))).collect();
+        let connectivity = Connectivity::from_triangles(points.len(), &triangles).unwrap();
+        (points, connectivity)
+    }
+
+    fn count_folds(connectivity: &Connectivity, points: &[Vec3]) -> usize {
+        area_normals(connectivity, points, 1).iter().filter(|normal| normal[2] <= 0.0).count()
+    }
+
+    #[test]
+    fn vertices_beyond_their_neighbours_come_back_and_others_stay() {
+        let (from, connectivity) = grid(10);
+        let mut points = from.clone();
+        points[60] = [points[60][0] + 1.7, points[60][1] + 0.4, 0.0];
+        points[12] = [points[12][0], points[12][1], 0.3];
+        let far = points[12];
+        assert!(count_folds(&connectivity, &points) > 0);
+        let references = area_normals(&connectivity, &from, 1);
+        undo_folds(&connectivity, &from, &mut points, &references, 0.1, 1);
+        assert_eq!(count_folds(&connectivity, &points), 0);
+        assert_eq!(points[12], far);
+        assert_ne!(points[60], from[60]);
+    }
+
+    #[test]
+    fn random_moves_leave_no_fold_whatever_the_number_of_threads() {
+        let (from, connectivity) = grid(30);
+        let mut seed = 1u64;
+        let mut random = || {
+            seed = seed.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            (seed >> 11) as f64 / (1u64 << 53) as f64 - 0.5
+        };
+        let moved: Vec<Vec3> = from.iter().map(|p| p.map(|x| x + 1.5 * random())).collect();
+        let references = area_normals(&connectivity, &from, 1);
+        let [one, two] = [1, 2].map(|threads| {
+            let mut points = moved.clone();
+            undo_folds(&connectivity, &from, &mut points, &references, 0.05, threads);
+            points
+        });
+        assert_eq!(one, two);
+        assert!(count_folds(&connectivity, &moved) > 0);
+        assert_eq!(count_folds(&connectivity, &one), 0);
+        let stayed = one.iter().zip(&from).filter(|(a, b)| a == b).count();
+        assert!(stayed < from.len() / 3, "{stayed}");
+    }
+}
