@@ -376,10 +376,11 @@ impl<const D: usize, M: Measure<D>> Engine<D, M> {
             }
             PriorityScope::Ring => {
                 self.changes.start_change();
+                self.changes.mark_vertex(centre);
                 for (edge, v) in connectivity.vertex_edges(centre) {
                     self.changes.mark_vertex(v);
-                    self.changes.mark_current(edge);
-                    if !on_rim(&self.mesh, edge) {
+                    if !self.queue.contains(edge) && !on_rim(&self.mesh, edge) {
+                        self.changes.mark_current(edge);
                         requeue_edge(edge, &self.mesh, &self.measure, &mut self.queue, &mut self.refusals);
                     }
                 }
