@@ -1,7 +1,7 @@
 //! Removal of independent vertices, the fast first part of a simplification to few triangles.
 //!
 //! ```text
-//! until a few times as many triangles are left as wanted, or little is removed:
+//! until few enough triangles are left, or little is removed:
 //!     each vertex, on any thread: find the neighbour into which it collapses with the smallest error
 //!     from the cheapest vertex on: collapse it, unless it or its neighbour is the end of another collapse
 //! ```
@@ -22,10 +22,6 @@ use crate::collapse::whole_mesh::WholeMesh;
 use crate::mesh::collapse_legality::keeps_triangle;
 use crate::quadric::qem::QemState;
 use crate::quadrics::lanes::{self, LaneVec3, Lanes};
-
-/// Triangles that the passes leave, relative to the goal. With 6, the RMS distance grows by about a hundredth;
-/// with 4, by three hundredths.
-const LEFT_PER_WANTED_TRIANGLE: usize = 6;
 
 /// Ratio of the vertices that a pass may remove, the cheapest ones. A larger one saves passes, but removes
 /// detail beside flat places.
@@ -58,7 +54,7 @@ struct Removal {
 
 const STAYS: Removal = Removal { error: f32::INFINITY, into: NONE };
 
-/// Remove vertices until a few times as many triangles are left as `goal` wants.
+/// Remove vertices until about `left` triangles are left.
 ///
 /// Boundary vertices, locked ones and places that are not manifold stay unchanged. Also returns the collapses,
 /// one log per pass. The result does not depend on the number of threads.
@@ -68,11 +64,11 @@ const STAYS: Removal = Removal { error: f32::INFINITY, into: NONE };
 pub fn remove_independent_vertices<const D: usize, const K: usize>(
     mut mesh: WholeMesh<D, ()>,
     mut state: QemState<K>,
+    left: usize,
     goal: &Goal,
     progress: &mut Progress,
 ) -> Result<(WholeMesh<D, ()>, QemState<K>, Vec<RegionLog<D>>), KernelError> {
     let at_start = mesh.triangles.len();
-    let left = goal.triangles.saturating_mul(LEFT_PER_WANTED_TRIANGLE);
     let mut logs = vec![];
     if at_start <= left {
         return Ok((mesh, state, logs));
@@ -99,7 +95,7 @@ pub fn remove_independent_vertices<const D: usize, const K: usize>(
         changed.fill(false);
         let chosen = surroundings.choose(&queue, &mut removals, left, &mut into, &mut changed);
         drop(stars);
-        logs.push(log_removals(&mesh, &chosen, logs.len(), goal.record_positions));
+        logs.push(log_removals(&mesh, &chosen, logs.len()));
         if !state.importance.is_empty() {
             for merge in &chosen {
                 let (v, to) = (merge.removed.index(), merge.survivor.index());
@@ -446,20 +442,10 @@ fn find_cheapest(removals: &[Removal], triangles: usize) -> Vec<u32> {
     queue.into_iter().map(|key| key as u32).collect()
 }
 
-fn log_removals<const D: usize>(
-    mesh: &WholeMesh<D, ()>,
-    chosen: &[Merge],
-    round: usize,
-    record_positions: bool,
-) -> RegionLog<D> {
+fn log_removals<const D: usize>(mesh: &WholeMesh<D, ()>, chosen: &[Merge], round: usize) -> RegionLog<D> {
     let source = |v: VertexId| VertexId(mesh.vertex_source[v.index()]);
     let of_source = |m: &Merge| Merge { removed: source(m.removed), survivor: source(m.survivor), ..*m };
-    let recorded = if record_positions { chosen } else { &[] };
-    RegionLog {
-        round,
-        merges: chosen.iter().map(of_source).collect(),
-        survivor_points: recorded.iter().map(|m| mesh.points[m.survivor.index()]).collect(),
-    }
+    RegionLog { round, merges: chosen.iter().map(of_source).collect(), survivor_points: vec![] }
 }
 
 /// Move corners to the vertices into which theirs collapse, and drop the triangles that vanish.
