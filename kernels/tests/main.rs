@@ -9,6 +9,9 @@ mod collapse {
     mod engine;
     mod rounds;
 }
+mod quadric {
+    mod vertex_removal;
+}
 mod fitting {
     mod fit;
 }

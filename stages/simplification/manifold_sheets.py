@@ -122,8 +122,9 @@ def weld_into_sheets(mesh: Mesh) -> Sheets | None:
     if not has_possible_duplicates(mesh.vertices):
         return None
     sheets = split_into_sheets(mesh)
-    used = np.unique(mesh.triangles[sheets.triangle_source])
-    return sheets if len(sheets.vertex_source) < len(used) else None
+    is_used = np.zeros(len(mesh.vertices), bool)
+    is_used[mesh.triangles[sheets.triangle_source]] = True
+    return sheets if len(sheets.vertex_source) < np.count_nonzero(is_used) else None
 
 
 def split_into_sheets(mesh: Mesh) -> Sheets:

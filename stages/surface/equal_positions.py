@@ -9,6 +9,9 @@ from numpy.typing import NDArray
 
 from scanloom.stages.surface.mesh import Vertices
 
+# Large odd numbers without pattern, one per coordinate.
+_FACTORS = tuple(np.uint64(factor) for factor in (0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9))
+
 
 def find_equal_positions(vertices: Vertices) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
     """Find the sets of vertices at equal positions.
@@ -28,12 +31,19 @@ def find_equal_positions(vertices: Vertices) -> tuple[NDArray[np.int32], NDArray
 
 
 def hash_positions(vertices: Vertices) -> NDArray[np.uint64]:
-    """Hash positions (n, 3) to 64-bit keys (n,); collisions are very rare."""
+    """Hash positions (n, 3) to 64-bit keys (n,); collisions are very rare.
+
+    The coordinates are mixed in one after the other. In a sum of separate hashes, the signs of mirrored
+    positions cancel out.
+    """
     # Adding 0 turns −0 into +0, so both have the same bits.
     bits = np.ascontiguousarray(vertices + 0.0).view(np.uint64)
-    with np.errstate(over="ignore"):
-        mixed = bits * np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9], np.uint64)
-        return np.asarray((mixed ^ (mixed >> np.uint64(29))).sum(axis=1))
+    keys = np.zeros(len(vertices), np.uint64)
+    for column, factor in zip(bits.T, _FACTORS, strict=True):
+        with np.errstate(over="ignore"):
+            keys = (keys + column) * factor
+        keys ^= keys >> np.uint64(32)
+    return keys
 
 
 def rank_labels(labels: NDArray[Any]) -> NDArray[np.int32]:

@@ -115,32 +115,36 @@ pub fn can_collapse(
 }
 
 /// Check that every remaining triangle keeps its orientation and area if both ends move to `point`.
-///
-/// A needle may stay a needle if it gets no thinner. The normal of a degenerate triangle is compared with the
-/// mean normal of the star.
 pub fn check_triangles<const D: usize>(star: &EdgeStar<D>, point: &[f64; D]) -> Result<(), IllegalCollapse> {
     let to = position_of(point);
     let ends = star.end_points.map(|p| position_of(&p));
-    for wing in &star.remaining {
-        let (a, b) = (position_of(&wing.from_point), position_of(&wing.to_point));
-        let (old, old_side2) = normal_and_longest_side(&ends[wing.end], &a, &b);
-        let (new, new_side2) = normal_and_longest_side(&to, &a, &b);
-        let (old_area2, new_area2) = (norm2(&old), norm2(&new));
-        let least2 = MIN_FLATNESS * MIN_FLATNESS;
-        if new_area2 <= least2 * new_side2 * new_side2
-            && new_area2 * old_side2 * old_side2 < old_area2 * new_side2 * new_side2
-        {
-            return Err(IllegalCollapse::Fold);
-        }
-        let flat = old_area2 <= least2 * least2 * old_side2 * old_side2;
-        let reference = if flat { star.mean_normal() } else { old };
-        let cosine = dot(&reference, &new);
-        let least = if flat { 0.0 } else { MIN_COSINE };
-        if cosine < least * (old_area2 * new_area2).sqrt() {
-            return Err(IllegalCollapse::Fold);
-        }
+    let is_kept = star.remaining.iter().all(|wing| {
+        let side = [position_of(&wing.from_point), position_of(&wing.to_point)];
+        keeps_triangle([&ends[wing.end], &to], side.each_ref(), || star.mean_normal())
+    });
+    if is_kept { Ok(()) } else { Err(IllegalCollapse::Fold) }
+}
+
+/// Check that a triangle keeps its orientation and area if a corner moves.
+///
+/// A needle may stay a needle if it gets no thinner. The normal of a degenerate triangle is compared with the
+/// mean normal of the star.
+#[inline]
+pub fn keeps_triangle([from, to]: [&Vec3; 2], [a, b]: [&Vec3; 2], mean_normal: impl Fn() -> Vec3) -> bool {
+    let (old, old_side2) = normal_and_longest_side(from, a, b);
+    let (new, new_side2) = normal_and_longest_side(to, a, b);
+    let (old_area2, new_area2) = (norm2(&old), norm2(&new));
+    let least2 = MIN_FLATNESS * MIN_FLATNESS;
+    if new_area2 <= least2 * new_side2 * new_side2
+        && new_area2 * old_side2 * old_side2 < old_area2 * new_side2 * new_side2
+    {
+        return false;
     }
-    Ok(())
+    let flat = old_area2 <= least2 * least2 * old_side2 * old_side2;
+    let reference = if flat { mean_normal() } else { old };
+    let least = if flat { 0.0 } else { MIN_COSINE };
+    let folds = dot(&reference, &new) < least * (old_area2 * new_area2).sqrt();
+    !folds
 }
 
 /// Compute the normal of a triangle (length: twice the area) and its longest side squared.

@@ -10,10 +10,10 @@ use super::memory_guard::with_memory_reserve;
 use super::simplification_result::{RunSettings, SimplificationResult};
 use crate::collapse::collapse_log::{CollapseSequence, RegionLog};
 use crate::collapse::engine::Refusal;
-use crate::collapse::rounds::collapse;
 use crate::collapse::whole_mesh::WholeMesh;
 use crate::mesh::collapse_legality::IllegalCollapse;
 use crate::quadric::qem::QemState;
+use crate::quadric::simplify;
 
 /// Mesh simplified by attribute quadrics.
 #[pyclass(frozen, get_all, extends = SimplificationResult)]
@@ -70,7 +70,7 @@ fn simplify_points<const D: usize, const K: usize>(
         run_detached(py, Some(progress), running.partial, |progress| {
             let whole = WholeMesh::new(points, triangles, locked)?;
             let records = QemState::<K> { weight, importance };
-            let outcome = collapse(whole, records, &running.goal(), progress)?;
+            let outcome = simplify::simplify_by_quadrics(whole, records, &running.goal(), progress)?;
             let refused = outcome.mesh.refused_edges();
             let count = |wanted| refused.iter().filter(|r| **r == Refusal::Illegal(wanted)).count();
             let refused = [

@@ -140,7 +140,7 @@ impl<const D: usize, const K: usize> Measure<D> for Qem<D, K> {
     type Reason = ();
     type Change = ();
 
-    const PRIORITY_SCOPE: PriorityScope = PriorityScope::Ring;
+    const PRIORITY_SCOPE: PriorityScope = PriorityScope::LazyRing;
 
     #[inline]
     fn priority(&self, mesh: &Mesh<D>, edge: EdgeId) -> Result<f64, ()> {

@@ -9,10 +9,11 @@ use crate::base::geometry::{bounding_box, cross, diagonal, norm2, position_of, s
 use crate::base::parallel::fill;
 use crate::base::progress::Progress;
 use crate::certify::Surface;
-use crate::collapse::rounds::{Goal, REGION_TRIANGLES, collapse};
+use crate::collapse::rounds::{Goal, REGION_TRIANGLES};
 use crate::collapse::whole_mesh::WholeMesh;
 use crate::quadric::color_weight::{grid_cell, hash_cell};
 use crate::quadric::qem::QemState;
+use crate::quadric::simplify::simplify_by_quadrics;
 
 /// Maximum ratio of the shape error with colours to the error without.
 const MAX_SHAPE_ERROR_RATIO: f64 = 1.2;
@@ -204,7 +205,7 @@ impl<const D: usize> MeshSample<D> {
             min_collapse_ratio: 0.0,
             record_positions: false,
         };
-        let mesh = match collapse(whole, records, &goal, progress) {
+        let mesh = match simplify_by_quadrics(whole, records, &goal, progress) {
             Ok(outcome) => outcome.mesh,
             Err(error) if error.is_aborted() => return Err(error),
             Err(_) => return Ok(None),

@@ -96,7 +96,7 @@ impl<const K: usize> Quadric<K> {
         let (u, v) = (lanes::sub(&q, &origin), lanes::sub(&r, &origin));
         let normal = lanes::cross(&u, &v);
         let norm2 = lanes::dot(&normal, &normal);
-        let length = norm2.sqrt();
+        let length = norm2.map(f64::sqrt);
         let area = Lanes::all(0.5) * length;
         let unit = normal.map(|x| x / length);
         let mut shape = [Lanes::ZERO; 6];
@@ -106,10 +106,10 @@ impl<const K: usize> Quadric<K> {
             let [x, y, z] = gradient.map(|x| area * x);
             let [gx, gy, gz] = *gradient;
             let products = [x * gx, x * gy, x * gz, y * gy, y * gz, z * gz];
-            (0..6).for_each(|i| shape[i] = shape[i] + products[i]);
+            (0..6).for_each(|i| shape[i] += products[i]);
             let scale = area * offset;
-            (0..3).for_each(|i| linear[i] = linear[i] + scale * gradient[i]);
-            constant = constant + scale * offset;
+            (0..3).for_each(|i| linear[i] += scale * gradient[i]);
+            constant += scale * offset;
             [x, y, z, scale]
         };
         add(&unit, -lanes::dot(&unit, &origin));
