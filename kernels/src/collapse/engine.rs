@@ -46,15 +46,6 @@ pub enum PriorityScope {
     /// All edges that touch the new star. Edges from the survivor are updated at once. The others change
     /// little and are updated when they reach the front of the queue.
     Ring,
-    /// As `Ring`, but edges from the survivor wait, too. This is faster; the order is slightly worse.
-    LazyRing,
-}
-
-impl PriorityScope {
-    /// Test if some edges are updated only when they reach the front of the queue.
-    const fn is_lazy(self) -> bool {
-        matches!(self, Self::Ring | Self::LazyRing)
-    }
 }
 
 /// Cost function and constraints of a simplification method.
@@ -239,7 +230,7 @@ impl<const D: usize, M: Measure<D>> Engine<D, M> {
             refusals,
             has_refused_edge: stuck,
             marks: VertexMarks::new(vertices),
-            changes: if M::PRIORITY_SCOPE.is_lazy() {
+            changes: if M::PRIORITY_SCOPE == PriorityScope::Ring {
                 StalePriorities::new(vertices, slots)
             } else {
                 StalePriorities::new(0, 0)
@@ -282,7 +273,7 @@ impl<const D: usize, M: Measure<D>> Engine<D, M> {
 
     /// Update the first edge of the queue until its priority is current.
     fn update_first(&mut self) {
-        if !M::PRIORITY_SCOPE.is_lazy() {
+        if M::PRIORITY_SCOPE != PriorityScope::Ring {
             return;
         }
         while let Some((edge, _)) = self.queue.first() {
@@ -383,17 +374,10 @@ impl<const D: usize, M: Measure<D>> Engine<D, M> {
                     requeue_edge(edge, &self.mesh, &self.measure, &mut self.queue, &mut self.refusals);
                 }
             }
-            PriorityScope::Ring | PriorityScope::LazyRing => {
+            PriorityScope::Ring => {
                 self.changes.start_change();
-                let waits = M::PRIORITY_SCOPE == PriorityScope::LazyRing;
-                if waits {
-                    self.changes.mark_vertex(centre);
-                }
                 for (edge, v) in connectivity.vertex_edges(centre) {
                     self.changes.mark_vertex(v);
-                    if waits && self.queue.contains(edge) {
-                        continue;
-                    }
                     self.changes.mark_current(edge);
                     if !on_rim(&self.mesh, edge) {
                         requeue_edge(edge, &self.mesh, &self.measure, &mut self.queue, &mut self.refusals);

@@ -140,7 +140,7 @@ impl<const D: usize, const K: usize> Measure<D> for Qem<D, K> {
     type Reason = ();
     type Change = ();
 
-    const PRIORITY_SCOPE: PriorityScope = PriorityScope::LazyRing;
+    const PRIORITY_SCOPE: PriorityScope = PriorityScope::Ring;
 
     #[inline]
     fn priority(&self, mesh: &Mesh<D>, edge: EdgeId) -> Result<f64, ()> {

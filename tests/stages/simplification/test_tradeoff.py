@@ -60,7 +60,8 @@ def test_the_bend_is_suggested() -> None:
 
 def test_the_smallest_number_within_a_distance_is_suggested(found: Tradeoff) -> None:
     within = found.points[3].percentile_95_m
-    again = tradeoff(sheet(40), steps=7, min_ratio=0.03, samples=20_000, max_distance=within)
+    counts = [point.triangles for point in found.points]
+    again = tradeoff(sheet(40), counts=counts, samples=20_000, max_distance=within)
     assert again.points == found.points
     assert again.suggested_triangles == found.points[3].triangles
     none = tradeoff(sheet(40), counts=[100], samples=1000, max_distance=1e-9)
