@@ -48,5 +48,6 @@ pub fn smooth_boundaries(
         rim.iter().zip(moved).for_each(|(&(v, _), to)| points[v] = to);
     }
     let references = area_normals(connectivity, &origins, threads);
-    undo_folds(connectivity, &origins, points, &references, MIN_COSINE, threads);
+    let limit = |v: usize, to| limit_move(&origins[v], to, max_move);
+    undo_folds(connectivity, &origins, points, &references, MIN_COSINE, limit, threads);
 }

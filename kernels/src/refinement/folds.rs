@@ -1,55 +1,81 @@
 //! No folds: vertices move only as far as their triangles keep their side.
 //!
 //! Smoothing, planes and straight boundaries move vertices by a part of an edge's length, which folds thin
-//! triangles over their neighbours. Next to a fold, steps are halved until it is gone.
+//! triangles over their neighbours. The corners of a folded triangle move more and more alike, so that it keeps
+//! the shape that it had. What stays folded returns to where it was.
 
 use crate::base::geometry::{Vec3, add_scaled, cross, dot, norm2, sub};
 use crate::base::ids::TriangleId;
 use crate::base::parallel::{collect, update};
 use crate::mesh::connectivity::Connectivity;
 
-/// A step is halved up to this many times, then the vertex stays.
+/// Passes in which the corners of folded triangles move alike, and further ones in which their moves are halved.
+const ALIGNING_PASSES: usize = 16;
+const HALVING_PASSES: usize = 24;
+
+/// A move is halved up to this many times, then the vertex stays.
 const MAX_HALVINGS: u8 = 4;
 
-/// Maximum number of passes. Each one that halves a step may fold a neighbour.
-const MAX_PASSES: usize = 40;
-
-/// Move points back towards where they were, until no triangle turns too far from its reference normal.
+/// Change the moves of points until no triangle turns too far from its reference normal.
 ///
 /// `from` are the positions before. `references` are directions of any length, one per triangle; a triangle
 /// whose cosine with its own is smaller than `min_cosine` is folded. Where a triangle was folded before, its
-/// vertices return to where they were.
+/// vertices return to where they were. `limit` limits the position of a vertex.
 pub fn undo_folds(
     connectivity: &Connectivity,
     from: &[Vec3],
     points: &mut [Vec3],
     references: &[Vec3],
     min_cosine: f64,
+    limit: impl Fn(usize, Vec3) -> Vec3 + Sync,
     threads: usize,
 ) {
     let mut halvings = vec![0u8; from.len()];
-    for _ in 0..MAX_PASSES {
+    for pass in 0..ALIGNING_PASSES + HALVING_PASSES {
         let is_folded: Vec<bool> = collect(connectivity.triangle_slots(), threads, |t| {
             let corners = connectivity.corners(TriangleId::from_index(t)).map(|v| points[v.index()]);
             let normal = cross(&sub(&corners[1], &corners[0]), &sub(&corners[2], &corners[0]));
             let lengths = (norm2(&normal) * norm2(&references[t])).sqrt();
             dot(&normal, &references[t]) < min_cosine * lengths
         });
-        let mut is_shortened = vec![false; from.len()];
+        // By vertex of a folded triangle: the sum of the mean moves of these triangles, and their number.
+        let mut sums: Vec<(Vec3, f64)> = vec![([0.0; 3], 0.0); from.len()];
+        let mut is_done = true;
         for (t, _) in is_folded.iter().enumerate().filter(|(_, folded)| **folded) {
-            for v in connectivity.corners(TriangleId::from_index(t)).map(|v| v.index()) {
-                is_shortened[v] = halvings[v] <= MAX_HALVINGS && points[v] != from[v];
+            let corners = connectivity.corners(TriangleId::from_index(t)).map(|v| v.index());
+            let mean = corners
+                .iter()
+                .fold([0.0; 3], |mean, &v| add_scaled(&mean, 1.0 / 3.0, &sub(&points[v], &from[v])));
+            for v in corners {
+                let (sum, count) = &mut sums[v];
+                *sum = add_scaled(sum, 1.0, &mean);
+                *count += 1.0;
+                is_done &= points[v] == from[v];
             }
         }
-        if !is_shortened.contains(&true) {
+        if is_done {
             return;
         }
-        update(&mut halvings, threads, |v, halved| *halved += u8::from(is_shortened[v]));
+        let is_aligning = pass < ALIGNING_PASSES;
+        if !is_aligning {
+            update(&mut halvings, threads, |v, halved| {
+                *halved = halved.saturating_add(u8::from(sums[v].1 > 0.0));
+            });
+        }
         update(points, threads, |v, point| {
-            if is_shortened[v] {
-                let share = if halvings[v] > MAX_HALVINGS { 0.0 } else { 0.5 };
-                *point = add_scaled(&from[v], share, &sub(point, &from[v]));
+            let (sum, count) = &sums[v];
+            if *count == 0.0 {
+                return;
             }
+            let own = sub(point, &from[v]);
+            *point = if is_aligning {
+                let alike = sum.map(|x| 0.5 * x / count);
+                limit(v, add_scaled(&add_scaled(&from[v], 1.0, &alike), 0.5, &own))
+            } else if halvings[v] <= MAX_HALVINGS {
+                add_scaled(&from[v], 0.5, &own)
+            } else {
+                from[v]
+            };
         });
     }
 }
@@ -85,7 +111,7 @@ mod tests {
         let far = points[12];
         assert!(count_folds(&connectivity, &points) > 0);
         let references = area_normals(&connectivity, &from, 1);
-        undo_folds(&connectivity, &from, &mut points, &references, 0.1, 1);
+        undo_folds(&connectivity, &from, &mut points, &references, 0.1, |_, p| p, 1);
         assert_eq!(count_folds(&connectivity, &points), 0);
         assert_eq!(points[12], far);
         assert_ne!(points[60], from[60]);
@@ -103,7 +129,7 @@ mod tests {
         let references = area_normals(&connectivity, &from, 1);
         let [one, two] = [1, 2].map(|threads| {
             let mut points = moved.clone();
-            undo_folds(&connectivity, &from, &mut points, &references, 0.05, threads);
+            undo_folds(&connectivity, &from, &mut points, &references, 0.05, |_, p| p, threads);
             points
         });
         assert_eq!(one, two);

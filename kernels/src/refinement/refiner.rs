@@ -251,7 +251,18 @@ impl Refiner {
             from.push(add_scaled(&a, one.share, &sub(&b, &a)));
         }
         let references = area_normals(&self.connectivity, &from, self.threads);
-        undo_folds(&self.connectivity, &from, &mut creased.points, &references, MAX_TURN.cos(), self.threads);
+        undo_folds(
+            &self.connectivity,
+            &from,
+            &mut creased.points,
+            &references,
+            MAX_TURN.cos(),
+            |v, to| match self.origins.get(v) {
+                Some(origin) => limit_move(origin, to, self.max_moves[v]),
+                None => to,
+            },
+            self.threads,
+        );
         self.points = creased.points;
         self.created = creased.created;
     }
@@ -289,8 +300,15 @@ impl Refiner {
 
     /// Shorten the moves of vertices whose triangles turn away from their filtered normals.
     fn undo_folds(&mut self) {
-        let (from, min_cosine) = (&self.origins, MAX_TURN.cos());
-        undo_folds(&self.connectivity, from, &mut self.points, &self.filtered, min_cosine, self.threads);
+        undo_folds(
+            &self.connectivity,
+            &self.origins,
+            &mut self.points,
+            &self.filtered,
+            MAX_TURN.cos(),
+            |v, to| limit_move(&self.origins[v], to, self.max_moves[v]),
+            self.threads,
+        );
     }
 
     fn stop_observing(&mut self) {

@@ -110,6 +110,17 @@ def test_the_result_is_an_oriented_manifold_with_colours(fused: Mesh, refined: R
     assert refined.mesh.colors.mean() == pytest.approx(fused.colors.mean(), abs=3)
 
 
+def test_no_triangle_is_folded_over_its_neighbour(fused: Mesh, refined: RefinementResult) -> None:
+    assert count_folds(refined.mesh) <= count_folds(fused)
+
+
+def count_folds(mesh: Mesh) -> int:
+    """Count edges whose two triangles face in nearly opposite directions."""
+    whole = to_trimesh(Mesh(mesh.vertices, mesh.triangles))
+    first, second = whole.face_normals[whole.face_adjacency].transpose(1, 0, 2)
+    return int(np.count_nonzero(np.einsum("ki,ki->k", first, second) < -0.9))
+
+
 def test_a_second_refinement_gives_the_same_bits(fused: Mesh, scan: Scan, refined: RefinementResult) -> None:
     again = refine(fused, scan.frames)
     assert np.array_equal(again.mesh.vertices, refined.mesh.vertices)
