@@ -41,6 +41,7 @@ from shape_measures import (
     MAX_SEEN_DISTANCE,
     PlanarPlaces,
     TruthSurface,
+    count_folded_edges,
     estimate_similarity,
     find_planar_places,
     find_seen_points,
@@ -231,7 +232,8 @@ def print_scan(path: Path, truth_path: Path | None, options: argparse.Namespace)
             places = find_planar_places(surface.mesh) if places is None else places
             cells = format_planar_cells(surface.mesh, places)
         counts = [count_triangles(surface.mesh, bound) for bound in options.bounds]
-        print_row([path.resolve().name, surface.name, *cells, *counts, f"{surface.seconds:.1f}"])
+        folds = f"{count_folded_edges(surface.mesh):,}"
+        print_row([path.resolve().name, surface.name, *cells, folds, *counts, f"{surface.seconds:.1f}"])
         if options.meshes is not None:
             file = options.meshes / f"{path.resolve().name}-{surface.name.replace(' ', '-')}.ply"
             scanloom.write_mesh(file, surface.mesh)
@@ -266,7 +268,7 @@ def main() -> None:
     for has_truth, columns in ((True, TRUTH_COLUMNS), (False, PLANAR_COLUMNS)):
         paths = [path for path, truth in truths.items() if (truth is not None) == has_truth]
         if paths:
-            print_head(["scan", "surface", *columns, *counts, "s"], words=2)
+            print_head(["scan", "surface", *columns, "folded edges", *counts, "s"], words=2)
         for path in paths:
             print_scan(path, truths[path], options)
         if paths:

@@ -13,6 +13,7 @@ from scanloom.stages.scans.model.poses import invert_pose
 from scanloom.stages.scans.model.scan import Frame, Pose
 from scanloom.stages.surface.edges import build_edges
 from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.mesh_conversion import to_trimesh
 from scanloom.stages.surface.raycasting import RaycastingSurface, compute_triangle_normals
 from scanloom.stages.surface.topology import compute_areas
 
@@ -38,6 +39,8 @@ _PLANAR_RATIO, _PLANAR_DISTANCE = 0.9, 0.02
 # Minimum covered ratio of the disc of 20 cm, and minimum number of samples within 6 cm.
 _MIN_COVERED, _MIN_SAMPLES = 0.6, 20
 _PLANE_ITERATIONS = 5
+# Cosine between the normals of two triangles that are folded over each other.
+_FOLDED_COSINE = -0.9
 
 
 @dataclass(frozen=True, eq=False)
@@ -216,6 +219,13 @@ def measure_completeness(points: Floats, mesh: Mesh, distance: float = _COMPLETE
     """Measure the ratio of points (n, 3) that have the mesh within a distance."""
     found = RaycastingSurface(mesh).find_closest_points(points)
     return float((found.distances <= distance).mean())
+
+
+def count_folded_edges(mesh: Mesh) -> int:
+    """Count the edges whose two triangles face in nearly opposite directions."""
+    whole = to_trimesh(Mesh(mesh.vertices, mesh.triangles))
+    first, second = whole.face_normals[whole.face_adjacency].transpose(1, 0, 2)
+    return int(np.count_nonzero(np.einsum("ki,ki->k", first, second) < _FOLDED_COSINE))
 
 
 def estimate_similarity(mesh: Mesh, truth: TruthSurface) -> Pose:
