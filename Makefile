@@ -27,8 +27,12 @@ SITE := build/docs
 
 .PHONY: docs page browser packages demo check test suite test-all campaign bench format lint python-lint ruff mypy mypy-windows stubtest clippy clippy-benches rust-tests collected clean
 
+# pip names every package that it fetches, and says every minute that the kernels are being compiled.
 demo:
-	@$(MAKE) --no-print-directory --jobs=2 $(READY)
+	@echo "Step 1 of 2: install the Python packages (about 3 GB in .venv) and compile the kernels, side by side. This takes"
+	@echo "minutes, the first time only."
+	@$(MAKE) --no-print-directory --jobs=2 PIP_OUTPUT=--progress-bar=off $(READY)
+	@echo "Step 2 of 2: turn the sample scan into a mesh."
 	$(BIN)/scanloom run samples/rgbd -o demo/rgbd
 	@echo
 	@echo "The mesh is demo/rgbd/textured.glb (and simplified.ply), the figures demo/rgbd/report.json, the pictures demo/rgbd/pictures/."
@@ -152,6 +156,7 @@ format: $(READY)
 $(COMPILERS):
 	@command -v cargo >/dev/null || { echo "cargo is missing: the mesh kernels are built with Rust 1.89 or later."; exit 1; }
 	@command -v c++ >/dev/null || { \
+	  echo "Installing the C++ compiler"; \
 	  if [ "$$(id -u)" = 0 ]; then root=; else root="sudo -n"; fi; \
 	  $$root apt-get update -qq && $$root apt-get install -y -qq --no-install-recommends g++ >/dev/null; \
 	} || { echo "c++ is missing: the kernels include a library in C++. On Debian: apt-get install g++"; exit 1; }
@@ -159,7 +164,8 @@ $(COMPILERS):
 	@touch $@
 
 # Most of what is installed is never imported: Python compiles the rest when it is.
-PIP := $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile
+PIP_OUTPUT ?= --quiet
+PIP := $(BIN)/python -m pip install $(PIP_OUTPUT) --disable-pip-version-check --no-compile
 
 $(DEPENDENCIES): pyproject.toml packaging/list_requirements.py | $(COMPILERS)
 	@echo "Installing the Python packages that scanloom needs"

@@ -27,7 +27,7 @@ from scanloom.cli.help import HelpCommand, HelpGroup
 from scanloom.cli.options import describe_set, set_sections, with_options
 from scanloom.cli.output import add_schema, to_json, to_one_line
 from scanloom.cli.rendering import command_line
-from scanloom.stages import __version__
+from scanloom.cli.version import describe_version
 from scanloom.stages.diagnostics.errors import ScanloomError, is_out_of_memory
 
 
@@ -73,9 +73,7 @@ def _first_command(arguments: Sequence[str]) -> str:
 
 def _print_version(is_wanted: bool) -> None:
     if is_wanted:
-        from scanloom.stages.inspecting.machine_report import identify_kernels_build
-
-        typer.echo(f"scanloom {__version__}\nkernels {identify_kernels_build()}")
+        typer.echo(describe_version())
         raise typer.Exit
 
 

@@ -62,9 +62,12 @@ def bake_and_write(
 def format_bake(metrics: dict[str, Any]) -> str:
     """Return the metrics as lines, with the colour errors in a sentence."""
     plain = {name: value for name, value in metrics.items() if name not in ("color", "vertex_color")}
-    text = (
-        f"{format_lines(plain)}\n\nColour error on the original: {_error(metrics['color'])} with the texture"
-    )
+    return f"{format_lines(plain)}\n\n{format_color_errors(metrics)}"
+
+
+def format_color_errors(metrics: dict[str, Any]) -> str:
+    """Return the colour errors of a baked mesh as a sentence."""
+    text = f"Colour error on the original: {_error(metrics['color'])} with the texture"
     before = metrics["vertex_color"]
     return text + (f", {_error(before)} with vertex colours." if before else ".")
 

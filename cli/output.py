@@ -58,6 +58,11 @@ class Output:
         is_failed = self._count(Severity.UNMET) or (self._strict and self._count(Severity.WARNING))
         return FAILED if is_failed else DONE
 
+    @property
+    def has_progress_bar(self) -> bool:
+        """Return True if progress is drawn as a bar, False if it is printed as lines or not at all."""
+        return not self.quiet and sys.stderr.isatty()
+
     def remark(self, text: str) -> None:
         """Print a remark to stderr."""
         if not self.quiet:
@@ -108,19 +113,30 @@ class Output:
 
     def _print(self, text: str) -> None:
         self.before_line()
-        sys.stderr.write(to_one_line(text) + "\n")
-        sys.stderr.flush()
+        _write_line(text)
 
     @contextmanager
     def progress(self, label: str, unit: str = "") -> Iterator[Progress]:
-        """Return a progress callback, which draws a bar with rate and time left in a terminal."""
-        if self.quiet or not sys.stderr.isatty():
+        """Return a progress callback: a bar with rate and time left in a terminal, otherwise lines."""
+        if self.quiet:
             yield ignore_progress
+            return
+        if not self.has_progress_bar:
+            from scanloom.cli.progress_lines import print_progress_lines
+
+            # Not `_print`: it ends the progress, and is called from another thread.
+            with print_progress_lines(label, unit, _write_line) as update:
+                yield update
             return
         from scanloom.cli.progress_bar import draw_progress_bar
 
         with draw_progress_bar(label, unit) as update:
             yield update
+
+
+def _write_line(text: str) -> None:
+    sys.stderr.write(to_one_line(text) + "\n")
+    sys.stderr.flush()
 
 
 def _do_nothing() -> None:

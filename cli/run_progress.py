@@ -1,4 +1,4 @@
-"""Progress of a run: a bar while a stage works, and one line for each finished stage."""
+"""Progress of a run: a bar or lines while a stage works, and one line for each finished stage."""
 
 from __future__ import annotations
 
@@ -32,6 +32,7 @@ def show_run_progress(out: Output) -> Iterator[RunEventHandler]:
     """Show progress, and yield the callback for the events of a run."""
     watcher = _Watcher(out)
     try:
+        watcher.bar.show("scan", "files")
         yield watcher
     finally:
         watcher.bar.close()
@@ -48,6 +49,8 @@ class _Watcher:
             case RunStarted():
                 self._started(event)
             case StageStarted():
+                if not self._out.has_progress_bar:
+                    self._out.remark(f"{event.stage}: started ({event.reason})")
                 self._bar_of(event.stage)
             case StageProgress():
                 self._bar_of(event.stage)(event.done, event.total)

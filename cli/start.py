@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 
 from scanloom.cli import interrupts
 
@@ -16,6 +17,12 @@ _QUIET = ("OPENCV_LOG_LEVEL", "OFF")
 def main() -> None:
     """Run the command line and leave with its exit code."""
     interrupts.exit_on_interrupt()
+    if sys.argv[1:] == ["--version"]:
+        # Importing the command line takes a second.
+        from scanloom.cli.version import describe_version
+
+        print(describe_version())  # noqa: T201
+        return
     os.environ.setdefault(*_SPIN)
     os.environ.setdefault(*_QUIET)
     from scanloom.cli.app import main as run

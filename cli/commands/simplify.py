@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -11,7 +10,7 @@ import numpy as np
 import typer
 
 from scanloom import stages
-from scanloom.cli.bake_output import TEXTURED_SUFFIXES, format_bake
+from scanloom.cli.bake_output import TEXTURED_SUFFIXES, format_color_errors
 from scanloom.cli.bounds_output import SaveBounds, write_bounds
 from scanloom.cli.codes import SIMPLIFY_FILE_LARGER
 from scanloom.cli.mesh_arguments import (
@@ -22,9 +21,10 @@ from scanloom.cli.mesh_arguments import (
     remark_written,
     write_mesh_file,
 )
-from scanloom.cli.output import Output, format_lines
+from scanloom.cli.output import Output
 from scanloom.cli.paths import MESH_SUFFIXES, require_new_file
 from scanloom.cli.rendering import option_name
+from scanloom.cli.simplify_output import format_simplification
 from scanloom.stages import ExportParams, Mesh, SimplificationResult, SimplifyParams, UsageError
 from scanloom.stages.diagnostics.codes import USAGE_OPTIONS_CONFLICT
 from scanloom.stages.diagnostics.collector import collecting, emit
@@ -81,6 +81,8 @@ def simplify(
     - with --max-shape, --max-color or both: as far as these bounds are proven at every point;
     - with a size and bounds: to the size, but never beyond the bounds; "stopped by" names the first reached;
     - with neither: a textured model within 1/1000 of its size, other meshes within default bounds.
+
+    Prints size, deviation and texture; --json prints all statistics.
 
     Textures are baked again if OUT is .glb, .obj or .ply. --keep-uv keeps images and texture coordinates, at
     the cost of shape; so does simplification to a size where baking loses much more colour, unless --bake is
@@ -161,7 +163,8 @@ def simplify(
                 input_bytes=source_bytes,
             )
         )
-    text = _text(simplified, metrics)
+    # JSON has all statistics; text has what decides if the mesh can be used.
+    text = "" if out.as_json else format_simplification(simplified, metrics, mesh)
     if simplified.default_max_shape is not None:
         text += f"\n\n{_default_bound(simplified)}"
     if simplified.kept_images is not None:
@@ -171,7 +174,7 @@ def simplify(
             f"levels, {kept.baked_rmse_levels:.3g} levels with baked images (--bake)."
         )
     if simplified.baked is not None:
-        text += f"\n\n{format_bake(simplified.baked.to_dict())}"
+        text += f"\n\n{format_color_errors(simplified.baked.to_dict())}"
     if rounding:
         text += (
             f"\n\nOUT is compressed like IN ({packing.compress}): positions are rounded by at most "
@@ -180,14 +183,6 @@ def simplify(
     if simplified.details.describe():
         text += f"\n\n{simplified.details.describe()}"
     out.result(metrics, text)
-
-
-def _text(simplified: SimplificationResult[Any], metrics: Mapping[str, Any]) -> str:
-    """Format the metrics as text, without tables."""
-    shown = {**metrics, **simplified.details.to_dict()}
-    for name in ("details", "baked", "default_max_shape_m"):
-        shown.pop(name, None)
-    return format_lines({name: value for name, value in shown.items() if not _is_table(value)})
 
 
 def _fit_packing(
@@ -217,10 +212,6 @@ def _default_bound(simplified: SimplificationResult[Any]) -> str:
         proven = format_upper_bound(details.shape_bound_m)
         kept = f"the shape bound was {goal} m, 1/1000 of the model's size, but only {proven} m are proven"
     return f"Neither a size nor a bound was given: {kept}. Set --max-shape or --ratio to change this."
-
-
-def _is_table(value: Any) -> bool:
-    return isinstance(value, list) and any(isinstance(row, Mapping) for row in value)
 
 
 def _how_to_prove() -> str:

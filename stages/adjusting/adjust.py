@@ -78,6 +78,9 @@ _MAX_KEY_FRAMES = 200
 _MIN_OBSERVATIONS = 12
 # Progress steps reserved for `run_bundle_adjustment`, which calls `tell` at most this often.
 _BUNDLE_STEPS = 5
+# Progress steps reserved for the agreement of a sample, for silhouettes, and for the agreement with a
+# corrected camera.
+_CHECK_STEPS = (10, 10, 5)
 # Maximum median pose change in standard deviations. A larger change means poses of another scan or
 # convention.
 _MAX_POSE_SIGMAS = 8.0
@@ -180,19 +183,24 @@ def _adjust_if_needed(
         prepared = _PreparedFrames(frames, frames, (), None, start)
         reason = "fewer than two frames have colour, depth and a pose"
         return _create_rejected_result(prepared, reason, (), None)
-    agreement = measure_agreement(frames, frame_indices)
+    usable = len(frame_indices)
+    matching = min(usable, _MAX_KEY_FRAMES) // 2
+    steps = _ProgressCounter(progress, sum(_CHECK_STEPS) + usable + matching + _BUNDLE_STEPS)
+    agreement = measure_agreement(frames, frame_indices, steps.scale(0, _CHECK_STEPS[0]))
     if agreement.failure_reason:
         if agreement.is_inconsistent:
             _report_mismatch(agreement.failure_reason)
         prepared = _PreparedFrames(frames, frames, (), None, start)
         return _create_rejected_result(prepared, agreement.failure_reason, agreement.skipped, None)
     before = TransferError.from_errors(agreement.errors)
-    prepared, agreement = _correct_camera_by_silhouettes(frames, frame_indices, agreement, params, start)
+    prepared, agreement = _correct_camera_by_silhouettes(
+        frames, frame_indices, agreement, params, steps, start
+    )
     if agreement.median_px < _AGREEMENT_PX:
         reason = f"colour, depth and poses agree to {agreement.median_px:.2f} px already"
         return _create_rejected_result(prepared, reason, agreement.skipped, before)
     return _adjust_frames(
-        prepared, frame_indices, agreement, params, progress, has_metric_poses=has_metric_poses
+        prepared, frame_indices, agreement, params, steps, has_metric_poses=has_metric_poses
     )
 
 
@@ -230,6 +238,7 @@ def _correct_camera_by_silhouettes(
     frame_indices: Sequence[int],
     agreement: AgreementSample,
     params: AdjustParams,
+    steps: _ProgressCounter,
     start: float,
 ) -> tuple[_PreparedFrames, AgreementSample]:
     """Correct the colour camera if silhouettes show a clear offset.
@@ -244,7 +253,9 @@ def _correct_camera_by_silhouettes(
     may_move = params.camera is not False and has_common_color_camera(
         [frames[place] for place in frame_indices]
     )
-    shown = observe_silhouettes(frames, frame_indices) if may_move else []
+    first_step, last_step = _CHECK_STEPS[0], sum(_CHECK_STEPS[:2])
+    tell = steps.scale(first_step, last_step)
+    shown = observe_silhouettes(frames, frame_indices, tell) if may_move else []
     found = estimate_photo_offset(shown, get_color_camera(first), get_color_from_depth(first))
     as_given = _PreparedFrames(frames, frames, shown, found, start)
     if found is None or not found.is_clear:
@@ -257,7 +268,7 @@ def _correct_camera_by_silhouettes(
     moved = list(frames)
     for place in frame_indices:
         moved[place] = replace(moved[place], color_camera=camera, color_from_depth=apart)
-    again = measure_agreement(moved, frame_indices)
+    again = measure_agreement(moved, frame_indices, steps.scale(last_step, sum(_CHECK_STEPS)))
     if again.failure_reason or again.median_px > (1 + _MAX_ERROR_RISE) * agreement.median_px:
         # Silhouettes that contradict matched points must not influence the fitted camera either.
         return replace(as_given, silhouettes=()), agreement
@@ -269,15 +280,15 @@ def _adjust_frames(
     frame_indices: Sequence[int],
     agreement: AgreementSample,
     params: AdjustParams,
-    progress: Progress,
+    steps: _ProgressCounter,
     *,
     has_metric_poses: bool,
 ) -> Adjustment:
     frames = prepared.frames
     poses = np.stack([_get_pose(frames[place]) for place in frame_indices])
     chosen = [frame_indices[n] for n in select_key_frames(poses, _MAX_KEY_FRAMES)]
-    matching = len(chosen) // 2
-    steps = _ProgressCounter(progress, len(frame_indices) + matching + _BUNDLE_STEPS)
+    checked = sum(_CHECK_STEPS)
+    steps.advance_to(checked)
     skipped: list[SkippedFrame] = []
     views: dict[int, AdjustmentView] = {}
     threads = get_worker_count()
@@ -300,9 +311,8 @@ def _adjust_frames(
         return _create_rejected_result(prepared, reason, skipped, TransferError.from_errors(agreement.errors))
     start = Cameras.from_frames([frames[place] for place in keys], [view.lens for view in key_views])
     view_pairs = select_view_pairs(compute_overlap_matrix(key_views, start))
-    matches = match_views(
-        key_views, view_pairs, lambda done, of: steps.advance_to(len(chosen) + done * matching // of)
-    )
+    read_count = checked + len(chosen)
+    matches = match_views(key_views, view_pairs, steps.scale(read_count, read_count + len(chosen) // 2))
     prior = params.pose_sigma * np.array([1.0] * 3 + [_ROTATION_PER_M] * 3)
     camera = (
         params.camera if _has_common_camera([frames[place] for place in frame_indices], key_views) else False
@@ -553,6 +563,10 @@ class _ProgressCounter:
     def advance_to(self, done: int) -> None:
         self._done = min(max(done, self._done), self._total)
         self._progress(self._done, self._total)
+
+    def scale(self, first: int, last: int) -> Progress:
+        """Return a callback that maps progress of a part to the steps from `first` to `last`."""
+        return lambda done, total: self.advance_to(first + (last - first) * done // max(total, 1))
 
     def finish(self) -> None:
         self.advance_to(self._total)

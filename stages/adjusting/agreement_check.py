@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,6 +18,7 @@ from scanloom.stages.adjusting.matching import (
 from scanloom.stages.adjusting.view import AdjustmentView, read_view_or_reason
 from scanloom.stages.adjusting.view_pairs import compute_view_overlap
 from scanloom.stages.frames.sampling import sample_evenly
+from scanloom.stages.progress import Progress, ignore_progress
 from scanloom.stages.scans.model.prefetch import get_worker_count, map_ordered
 from scanloom.stages.scans.model.scan import Frame, Pose, SkippedFrame
 
@@ -85,18 +86,25 @@ def find_usable_frames(frames: Sequence[Frame]) -> list[int]:
     ]
 
 
-def measure_agreement(frames: Sequence[Frame], frame_indices: Sequence[int]) -> AgreementSample:
+def measure_agreement(
+    frames: Sequence[Frame], frame_indices: Sequence[int], progress: Progress = ignore_progress
+) -> AgreementSample:
     """Measure agreement of colour, depth and poses on a few frame pairs.
 
     Parameters
     ----------
     frames : frames of the scan.
     frame_indices : indices of the frames with colour, depth and a pose.
+    progress : called with the number of read and matched frames, and the total.
     """
     poses = np.stack([_get_pose(frames[place]) for place in frame_indices])
     chosen = sample_evenly(len(frame_indices), _SAMPLE_COUNT)
+    # Each sampled frame is read, gets a partner, and is matched with it.
+    count = len(chosen)
     skipped: list[SkippedFrame] = []
-    views = _read_views(frames, [frame_indices[n] for n in chosen], skipped)
+    views = _read_views(
+        frames, [frame_indices[n] for n in chosen], skipped, lambda done: progress(done, 3 * count)
+    )
     partner_of = {}
     for n in chosen:
         if frame_indices[n] in views:
@@ -106,7 +114,7 @@ def measure_agreement(frames: Sequence[Frame], frame_indices: Sequence[int]) -> 
             enough = enough[np.argsort(shares[enough], kind="stable")]
             partner_of[n] = int(enough[len(enough) // 2] if len(enough) else np.argmax(shares))
     others = sorted({frame_indices[n] for n in partner_of.values()} - set(views))
-    views |= _read_views(frames, others, skipped)
+    views |= _read_views(frames, others, skipped, lambda done: progress(count + done, 3 * count))
     order = sorted(views)
     number = {place: i for i, place in enumerate(order)}
     pairs = sorted(
@@ -120,7 +128,7 @@ def measure_agreement(frames: Sequence[Frame], frame_indices: Sequence[int]) -> 
     if not pairs:
         return AgreementSample(views, tuple(skipped), 0, np.zeros(0), np.nan)
     cameras = Cameras.from_frames([frames[place] for place in order], [view.lens for view in seen])
-    found = match_views(seen, pairs)
+    found = match_views(seen, pairs, lambda done, _: progress(2 * count + done, 3 * count))
     gap = compute_point_gaps(seen, cameras, found)
     near = gap < MAX_GAP_RATIO
     off = compute_match_errors(seen, cameras, found.select(near))
@@ -129,11 +137,15 @@ def measure_agreement(frames: Sequence[Frame], frame_indices: Sequence[int]) -> 
 
 
 def _read_views(
-    frames: Sequence[Frame], frame_indices: Sequence[int], skipped: list[SkippedFrame]
+    frames: Sequence[Frame],
+    frame_indices: Sequence[int],
+    skipped: list[SkippedFrame],
+    report_count: Callable[[int], object],
 ) -> dict[int, AdjustmentView]:
     views = {}
     threads = get_worker_count()
-    for place, view in zip(
+    for done, place, view in zip(
+        range(1, len(frame_indices) + 1),
         frame_indices,
         map_ordered(
             lambda place: read_view_or_reason(frames[place]),
@@ -147,6 +159,7 @@ def _read_views(
             views[place] = view
         else:
             skipped.append(view)
+        report_count(done)
     return views
 
 

@@ -24,6 +24,7 @@ from scanloom.stages.adjusting.silhouettes import detect_silhouettes
 from scanloom.stages.adjusting.view import read_distorted_color
 from scanloom.stages.diagnostics.errors import InputError
 from scanloom.stages.frames.sampling import sample_evenly
+from scanloom.stages.progress import Progress, ignore_progress
 from scanloom.stages.scans.model.images import read_depth
 from scanloom.stages.scans.model.prefetch import get_worker_count, map_ordered
 from scanloom.stages.scans.model.scan import Camera, ColorImage, Frame, Pose
@@ -116,13 +117,16 @@ class PhotoOffset:
         }
 
 
-def observe_silhouettes(frames: Sequence[Frame], frame_indices: Sequence[int]) -> list[SilhouetteObservation]:
+def observe_silhouettes(
+    frames: Sequence[Frame], frame_indices: Sequence[int], progress: Progress = ignore_progress
+) -> list[SilhouetteObservation]:
     """Detect silhouettes in a sample of the frames.
 
     Parameters
     ----------
     frames : frames of the scan.
     frame_indices : indices of the frames with colour and depth.
+    progress : called with the number of examined frames, and the total.
 
     Returns
     -------
@@ -131,11 +135,12 @@ def observe_silhouettes(frames: Sequence[Frame], frame_indices: Sequence[int]) -
     chosen = sample_evenly(len(frame_indices), _MAX_FRAMES)
     threads = get_worker_count()
     wanted = [frames[frame_indices[n]] for n in chosen]
-    found = [
-        one
-        for one in map_ordered(_observe_frame, wanted, threads=threads, max_pending=threads + 2)
-        if one is not None
-    ]
+    found = []
+    observed = map_ordered(_observe_frame, wanted, threads=threads, max_pending=threads + 2)
+    for done, one in enumerate(observed, 1):
+        if one is not None:
+            found.append(one)
+        progress(done, len(wanted))
     return found if len({one.full_size for one in found}) == 1 else []
 
 

@@ -135,7 +135,7 @@ class Inspection:
             lines.append(f"colour    {self.color_size[0]}×{self.color_size[1]} px")
         if scan.rig is not None and camera.is_calibrated:
             state = "rectified" if scan.rig.is_rectified else "not rectified"
-            lines.append(f"rig       baseline {scan.rig.baseline:.4f} m, {state}")
+            lines.append(f"rig       baseline {scan.rig.baseline:.4f} {unit}, {state}")
         if self.trajectory is not None and len(scan.frames) > 1:
             box = " × ".join(f"{side:.2f}" for side in self.trajectory.box_m)
             lines.append(
@@ -152,8 +152,8 @@ class Inspection:
             )
         if self.stereo_depth_m is not None:
             near, far = self.stereo_depth_m
-            start = "" if near is None else f"{near:.2f} m at the largest disparity, "
-            lines.append(f"depth     {start}{far:.1f} m at a disparity of one pixel")
+            start = "" if near is None else f"{near:.2f} {unit} at the largest disparity, "
+            lines.append(f"depth     {start}{far:.1f} {unit} at a disparity of one pixel")
         if self.pose_errors_m:
             conventions = sorted(self.pose_errors_m.items(), key=lambda way: way[1])
             words = " and ".join(
@@ -175,8 +175,8 @@ class Inspection:
             lines.append(f"sharpness lowest in {words} of the median frame")
         if self.scene is not None:
             lines += [
-                f"extent    {self.scene} m, minimum to maximum corner (1st to 99th percentile)",
-                f"looks at  {format_point(self.scene.center_m)} m, the centre of view",
+                f"extent    {self.scene} {unit}, minimum to maximum corner (1st to 99th percentile)",
+                f"looks at  {format_point(self.scene.center_m)} {unit}, the centre of view",
             ]
         if self.fusion_estimate is not None:
             needs = self.fusion_estimate

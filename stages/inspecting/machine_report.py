@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import os
 import platform
 import shutil
@@ -10,9 +9,8 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from scanloom.stages import _kernels
-from scanloom.stages.files.input_files import read_input_bytes
 from scanloom.stages.files.version import get_installed_version
+from scanloom.stages.inspecting.kernels_build import identify_kernels_build
 from scanloom.stages.inspecting.libraries import find_version
 from scanloom.stages.inspecting.system import list_platform_notes, query_memory_bytes, query_processor
 
@@ -51,15 +49,6 @@ def describe_machine() -> dict[str, Any]:
         "extras": {name: find_version(library) for name, library in _EXTRAS.items()},
         "platform_notes": list_platform_notes(Path.cwd()),
     }
-
-
-def identify_kernels_build() -> str:
-    """Identify the build of the kernels by file name and digest.
-
-    The start of the SHA-256 digest distinguishes builds with the same version.
-    """
-    path = Path(str(_kernels.__file__))
-    return f"{path.name} {hashlib.sha256(read_input_bytes(path)).hexdigest()[:12]}"
 
 
 def _find_processor_name() -> str | None:

@@ -438,7 +438,9 @@ SCAN_LAYOUT_UNKNOWN = Code(
     "scan.layout-unknown",
     "The layout of the folder is not recognised",
     """
-Give the folder that contains the image folders, not a folder above or below it. For `.bag`, `.db3`, `.mcap`,
+Give the folder that contains the image folders. A folder that holds exactly one scan is replaced by that
+scan, with a notice. The message names the next step for videos, archives, meshes, photos without poses, and
+pairs of images under unknown names. For `.bag`, `.db3`, `.mcap`,
 `.sens` and `.r3d`, give the file itself. If several layouts would fit, `scan.layout=NAME`
 selects one; its reader then reports which file is missing. Any other folder can be converted to
 [plain-rgbd](../formats/scans.md#plain-rgbd): folders `color/` and `depth/`, and a `scan.json`.

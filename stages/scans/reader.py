@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 from collections.abc import Collection, Sequence
 from dataclasses import replace
-from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -17,11 +16,13 @@ from scanloom.stages.diagnostics.errors import InputError, UsageError
 from scanloom.stages.files.blas_memory import reserve_blas_buffers
 from scanloom.stages.files.codes import FILE_PATH_INVALID, FILE_UNREADABLE
 from scanloom.stages.files.file_access_log import record_opened_files
+from scanloom.stages.scans.advice import describe_file, describe_photos, describe_streams
 from scanloom.stages.scans.codes import (
     FRAME_IMAGE_MISSING,
     FRAME_POSE_MISSING,
     POSE_ASSUMED,
     POSE_MISSING,
+    SCAN_ASSUMED,
     SCAN_IMAGES_UNPAIRED,
     SCAN_LAYOUT_UNKNOWN,
     SCAN_OPTION_UNUSED,
@@ -49,6 +50,8 @@ from scanloom.stages.scans.transforms.up_direction import set_layout_up
 
 # Maximum number of subfolders that a message names as scans.
 _MAX_NAMED_FOLDERS = 6
+# Maximum depth of folders that hold nothing but another folder.
+_MAX_NESTED_FOLDERS = 3
 
 
 def read_scan(folder: Path | str, options: ScanParams | None = None, *, complete: bool = True) -> Scan:
@@ -75,14 +78,14 @@ def read_scan(folder: Path | str, options: ScanParams | None = None, *, complete
     with collecting() as diagnostics:
         scan = _read_frames(folder, options)
         if complete:
-            require_complete(scan, folder)
-        _require_equal_sides(scan.frames, folder)
+            require_complete(scan, scan.folder or folder)
+        _require_equal_sides(scan.frames, scan.folder or folder)
     return replace(scan, diagnostics=tuple(diagnostics))
 
 
 def _read_frames(folder: Path, options: ScanParams) -> Scan:
     """Read all frames, apply poses, masks and scale, and return the selected frames."""
-    layout = _select_layout(folder, options)
+    folder, layout = _select_layout(folder, options)
     with record_opened_files() as opened_files, collecting(forward=False) as diagnostics:
         read = layout.read(folder, options)
     _require_options_used(options, folder, layout, read, opened_files)
@@ -114,17 +117,33 @@ def _read_frames(folder: Path, options: ScanParams) -> Scan:
     return _place_at_origin(scan) if len(scan.frames) == 1 else scan
 
 
-def _select_layout(folder: Path, options: ScanParams) -> Layout:
+def _select_layout(folder: Path, options: ScanParams) -> tuple[Path, Layout]:
+    """Return the folder of the scan, and its layout.
+
+    The folder differs from the given one if that holds exactly one scan.
+    """
     named = next((one for one in LAYOUTS if one.name == options.layout), None)
     if named is not None:
         _require_readable(folder, named.suffixes)
-        return named
+        return folder, named
     found = find_layout(folder)
     if found is not None:
-        return found[0]
+        return folder, found[0]
     # Photos without poses are not a scan, but here a trajectory file is given.
     if options.poses is not None and find_photo_folder(folder) is not None:
-        return plain_views.LAYOUT
+        return folder, plain_views.LAYOUT
+    inside = _find_scans_inside(folder)
+    if len(inside) == 1:
+        child, layout = inside[0]
+        emit(
+            SCAN_ASSUMED.info(
+                "the only scan in this folder is {child}/ ({layout}), which is read",
+                folder,
+                child=child,
+                layout=layout.name,
+            )
+        )
+        return folder / child, layout
     raise InputError(SCAN_LAYOUT_UNKNOWN, _describe_unknown_folder(folder), folder)
 
 
@@ -287,7 +306,9 @@ def _require_readable(folder: Path, suffixes: Collection[str]) -> None:
     if folder.is_file() and (known := find_unsupported_layout(folder)) is not None:
         raise InputError(SCAN_LAYOUT_UNKNOWN, _describe_unsupported(known), folder)
     if not folder.is_dir():
-        problem = "this is a file, not a scan folder." if folder.exists() else "there is no such folder."
+        if not folder.exists():
+            raise InputError(FILE_PATH_INVALID, "there is no such folder.", folder)
+        problem = describe_file(folder, is_scan_folder=_is_scan_folder(folder.absolute().parent))
         raise InputError(FILE_PATH_INVALID, problem, folder)
     try:
         next(folder.iterdir(), None)
@@ -295,6 +316,13 @@ def _require_readable(folder: Path, suffixes: Collection[str]) -> None:
         raise InputError(
             FILE_UNREADABLE, "the folder cannot be listed ({strerror}).", folder, strerror=error.strerror
         ) from error
+
+
+def _is_scan_folder(folder: Path) -> bool:
+    try:
+        return _find_first_match(LAYOUTS, folder) is not None
+    except InputError:
+        return False
 
 
 def _describe_unsupported(known: UnsupportedLayout) -> str:
@@ -313,28 +341,41 @@ def _describe_unknown_folder(folder: Path) -> str:
     if not content:
         return "the folder is empty."
     if inside := _find_scans_inside(folder):
-        child, layout = inside[0]
+        child, layout = inside[0][0], inside[0][1].name
         others = ", ".join(f"{name}/" for name, _ in inside[1:])
         also = f", and so do {others}" if others else ""
         return f"this is no scan, but its folder {child}/ looks like one ({layout}){also}; give that folder."
+    if (streams := describe_streams(folder)) is not None:
+        return streams
     if (photos := find_photo_folder(folder)) is not None:
-        where = f"{photos.name}/" if photos != folder else "it"
-        return (
-            f"unknown layout: {where} holds images without poses. Give a trajectory with scan.poses=FILE, or "
-            "estimate poses with COLMAP and give its folder."
-        )
+        return describe_photos(folder, photos)
     shown = ", ".join(content[:6]) + (f" and {len(content) - 6} more" if len(content) > 6 else "")
     known = ", ".join(one.name for one in LAYOUTS)
     return f"unknown layout. The folder holds {shown}. Supported layouts are {known}; see the README."
 
 
-def _find_scans_inside(folder: Path) -> list[tuple[str, str]]:
-    """Return (name, layout) of up to six subfolders that are scans."""
-    children = sorted(path for path in folder.iterdir() if path.is_dir())
-    matches = ((child.name, _find_first_match(LAYOUTS, child)) for child in children)
-    return list(
-        islice(((name, match[0].name) for name, match in matches if match is not None), _MAX_NAMED_FOLDERS)
-    )
+def _find_scans_inside(folder: Path, max_depth: int = _MAX_NESTED_FOLDERS) -> list[tuple[str, Layout]]:
+    """Return (name, layout) of up to six subfolders that are scans.
+
+    Unpacked archives often hold one folder in another, so a single subfolder is searched, too.
+    """
+    try:
+        content = sorted(filter(_is_content, folder.iterdir()))
+        children = [path for path in content if path.is_dir()]
+        matches = ((child.name, _find_first_match(LAYOUTS, child)) for child in children)
+        found = [(name, match[0]) for name, match in matches if match is not None]
+    except OSError:
+        # A subfolder that cannot be listed.
+        return []
+    if found or len(content) != 1 or not children or max_depth <= 1:
+        return found[:_MAX_NAMED_FOLDERS]
+    inside = _find_scans_inside(children[0], max_depth - 1)
+    return [(f"{children[0].name}/{name}", layout) for name, layout in inside]
+
+
+def _is_content(path: Path) -> bool:
+    """Return False for hidden files, and for what macOS adds to archives."""
+    return not path.name.startswith((".", "__MACOSX"))
 
 
 def _select_frames(scan: Scan, options: ScanParams) -> Sequence[Frame]:

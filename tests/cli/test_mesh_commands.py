@@ -14,6 +14,7 @@ import cv2
 import numpy as np
 import pytest
 
+from scanloom.cli.output import format_size
 from scanloom.stages.progress import Progress
 from scanloom.stages.surface.formats.ply import write_ply
 from scanloom.stages.surface.mesh import Mesh
@@ -453,3 +454,33 @@ def test_images_and_materials_go_beside_the_file_that_a_link_leads_to(scanloom: 
     assert written.texture is not None
     assert written.texture.images
     assert sorted(path.name for path in tmp_path.glob("link*")) == ["link.obj"]
+
+
+@pytest.mark.parametrize(
+    ("words", "deviation"),
+    [
+        (
+            ("--ratio", 0.5),
+            r"deviation +at most 0\.\d+ m, .* \(measured at 100,000 points and all vertices\)",
+        ),
+        (("--max-shape", 0.01), r"Proven: no point is more than 0\.01 m"),
+        (("--method", "planar"), r"deviation +at most 0\.\d+ m.* \(proven at every point\)"),
+    ],
+)
+def test_simplify_prints_what_decides_if_the_mesh_can_be_used(
+    scanloom: Run, ball: Path, tmp_path: Path, words: tuple[object, ...], deviation: str
+) -> None:
+    light = tmp_path / "light.ply"
+    ran = scanloom("simplify", ball, light, *words, "--quiet")
+    assert ran.exit_code == 0, ran.stderr
+    rows = dict(re.split(r"\s{2,}", line, maxsplit=1) for line in ran.stdout.splitlines() if "  " in line)
+    assert set(rows) - {"deviation"} == {"output", "triangles", "size", "texture", "stopped by"}
+    triangles = [len(read_mesh(one).triangles) for one in (ball, light)]
+    assert rows["triangles"].startswith(f"{triangles[0]:,} → {triangles[1]:,} (")
+    assert rows["size"].startswith(
+        f"{format_size(ball.stat().st_size)} → {format_size(light.stat().st_size)} ("
+    )
+    assert re.search(f"^{deviation}", ran.stdout, re.MULTILINE)
+    assert "slack" not in ran.stdout
+    told = scanloom("simplify", ball, light, *words, "--json").json
+    assert {"collapses", "details", "refused_edges"} <= set(told)

@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 import recordings
 
+from scanloom.cli.version import describe_version
 from scanloom.pipeline.config import Config
 from scanloom.stages.params import describe_all, get_default
 
@@ -414,6 +415,17 @@ def test_the_installed_program_knows_its_version() -> None:
     assert "inspect" in ran.stdout
     version = subprocess.run([*SCANLOOM, "--version"], capture_output=True, text=True, check=True)
     assert re.fullmatch(r"scanloom \d+\.\d+\.\d+\nkernels \S+ [0-9a-f]{12}\n", version.stdout)
+
+
+def test_the_version_needs_no_import_of_the_command_line() -> None:
+    # Parsing takes over a second on a slow machine, as typer, NumPy and all commands are imported for it.
+    code = (
+        "import sys; sys.argv = ['scanloom', '--version']\n"
+        "from scanloom.cli.start import main; main()\n"
+        "print(sorted({'typer', 'numpy', 'scanloom.cli.app', 'scanloom.stages._kernels'} & set(sys.modules)))"
+    )
+    ran = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert ran.stdout == f"{describe_version()}\n[]\n"
 
 
 def test_help_imports_no_heavy_library() -> None:

@@ -26,10 +26,14 @@ def test_inspect_says_units_and_what_gives_metres(scanloom: Run, unit_scan: Path
     text = scanloom("inspect", unit_scan).stdout
     assert "scale     unknown: lengths are in units" in text
     assert "up        0 -1 0, from scan.json" in text
-    lengths = [line for line in text.splitlines() if line.split()[0] in ("path", "depth", "poses", "fusion")]
-    assert lengths
+    measured = ("path", "depth", "poses", "extent", "looks", "fusion")
+    lengths = [line for line in text.splitlines() if line.split()[0] in measured]
+    assert {line.split()[0] for line in lengths} >= {"depth", "extent", "looks", "fusion"}
     assert all(" units" in line for line in lengths)
-    assert not any(line.endswith(" m") or " m " in line or " m;" in line or "mm" in line for line in lengths)
+    assert not any(
+        line.endswith(" m") or " m " in line or " m;" in line or " m," in line or "mm" in line
+        for line in lengths
+    )
     given = ("scale=METRES_PER_UNIT, ", "known_distance='MEASURED METRES' or ", "tag_size=METRES")
     assert "".join(f"--set scan.{one}" for one in given) in text
     metrics = scanloom("inspect", unit_scan, "--json").json
