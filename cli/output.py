@@ -20,8 +20,9 @@ from scanloom.stages.diagnostics.diagnostic import Diagnostic, Severity
 from scanloom.stages.printing import format_count, format_metric
 from scanloom.stages.progress import Progress, ignore_progress
 
-# Control characters, among them line breaks and terminal escapes, and the line separators of Unicode.
-_CONTROLS = re.compile("[\x00-\x1f\x7f-\x9f\u2028\u2029]")
+# Control characters, among them line breaks and terminal escapes, and the line separators and changes of the
+# writing direction of Unicode.
+_CONTROLS = re.compile("[\x00-\x1f\x7f-\x9f\u200e\u200f\u2028-\u202e\u2066-\u2069]")
 # Maximum length of a message, in characters. Longer messages quote a damaged file.
 _MAX_LINE = 2000
 
@@ -99,7 +100,8 @@ class Output:
             )
         elif text is None:
             text = format_lines(metrics)
-        sys.stdout.write(text + "\n")
+        # Names from files may hold terminal escapes. The lines of a result are its own.
+        sys.stdout.write("\n".join(escape_controls(line) for line in text.split("\n")) + "\n")
         # Flush now: a full disk or a closed pipe can still be reported.
         sys.stdout.flush()
         warnings = self._count(Severity.WARNING)
@@ -143,9 +145,14 @@ def _do_nothing() -> None:
     """Do nothing, because no progress bar is shown."""
 
 
+def escape_controls(text: str) -> str:
+    r"""Replace control characters by their escapes, such as `\x1b`."""
+    return _CONTROLS.sub(lambda found: found[0].encode("unicode_escape").decode("ascii"), text)
+
+
 def to_one_line(text: str) -> str:
     r"""Return text as a single line: escape control characters, and shorten the middle."""
-    line = _CONTROLS.sub(lambda found: found[0].encode("unicode_escape").decode("ascii"), text.rstrip())
+    line = escape_controls(text.rstrip())
     return line if len(line) <= _MAX_LINE else f"{line[: _MAX_LINE // 2]} … {line[-_MAX_LINE // 2 :]}"
 
 

@@ -98,6 +98,8 @@ def batch(
     from scanloom.pipeline.batch.job_queue import BatchSettings, make_jobs
     from scanloom.pipeline.batch.open_batch import open_queue
     from scanloom.pipeline.batch.summary_files import check_outputs_replaceable, remove_outputs
+    from scanloom.pipeline.cache.store import Cache
+    from scanloom.pipeline.error_conversion import convert_os_errors
     from scanloom.pipeline.relative_paths import get_relative_path
     from scanloom.pipeline.run.run import get_cache_folder
 
@@ -140,6 +142,9 @@ def batch(
         return
     queue = open_queue(target, what, queued)
     remove_outputs(target)
+    with convert_os_errors(f"the cache {where} cannot be used"):
+        # Workers accept a cache outside OUT only if it is marked as one.
+        Cache(where).prepare()
     if queue_only:
         metrics = {"out": str(target), "queued": len(queued), **more}
         text = f"{len(queued):,} scans queued; start on each machine: scanloom worker {target}"

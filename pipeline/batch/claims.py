@@ -11,6 +11,7 @@ no result: `released` if the worker was interrupted, `killed` or `crashed` if th
 from __future__ import annotations
 
 import os
+import re
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,6 +19,16 @@ from scanloom.stages.files.input_files import read_input_text
 
 RELEASED, KILLED, CRASHED = "released", "killed", "crashed"
 _STAGE_PREFIX = "at "
+# A name that `create_worker_name` makes, and the name of a stage; other text in a claim is ignored.
+_WORKER_NAME = re.compile(r"[A-Za-z0-9-]{1,80}")
+_STAGE_NAME = re.compile(r"[A-Za-z0-9_ -]{1,40}")
+_CLAIM_NAME = re.compile(r"(\d{6,7})\.(\d{1,4})", re.ASCII)
+# Links and pipes in place of a claim are not followed.
+_APPEND = (
+    os.O_WRONLY
+    | os.O_APPEND
+    | sum(getattr(os, name, 0) for name in ("O_NOFOLLOW", "O_NONBLOCK", "O_BINARY", "O_CLOEXEC"))
+)
 _EXCLUSIVE_CREATE = (
     os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0) | getattr(os, "O_CLOEXEC", 0)
 )
@@ -110,7 +121,7 @@ class Claims:
         found: dict[int, Claim] = {}
         with os.scandir(self._folder) as names:
             for one in names:
-                claim = _parse_claim(one.name)
+                claim = parse_claim(one.name)
                 if claim is not None and claim.attempt >= found.get(claim.number, claim).attempt:
                     found[claim.number] = claim
         return found
@@ -121,9 +132,10 @@ class Claims:
             lines = read_input_text(self._get_path(claim), "utf-8").splitlines()
         except (OSError, UnicodeDecodeError):
             lines = []
-        worker, rest = (lines[0], lines[1:]) if lines else ("", [])
+        worker, rest = (lines[0], lines[1:]) if lines and _WORKER_NAME.fullmatch(lines[0]) else ("", [])
         stages = [line.removeprefix(_STAGE_PREFIX) for line in rest if line.startswith(_STAGE_PREFIX)]
         ends = [line for line in rest if line in (RELEASED, KILLED, CRASHED)]
+        stages = [stage for stage in stages if _STAGE_NAME.fullmatch(stage)]
         return ClaimContent(worker, stages[-1] if stages else "", ends[0] if ends else None)
 
     def read_attempts(self, claim: Claim) -> list[ClaimContent]:
@@ -132,14 +144,17 @@ class Claims:
         return [one for one in said if one.end != RELEASED]
 
     def _append(self, claim: Claim, line: str) -> None:
-        with self._get_path(claim).open("a", encoding="utf-8", newline="\n") as file:
-            file.write(f"{line}\n")
+        descriptor = os.open(self._get_path(claim), _APPEND)
+        try:
+            os.write(descriptor, f"{line}\n".encode())
+        finally:
+            os.close(descriptor)
 
     def _get_path(self, claim: Claim) -> Path:
         return self._folder / f"{claim.number:06d}.{claim.attempt}"
 
 
-def _parse_claim(name: str) -> Claim | None:
-    number, _, attempt = name.partition(".")
-    is_claim = all(part.isascii() and part.isdigit() for part in (number, attempt))
-    return Claim(int(number), int(attempt)) if is_claim else None
+def parse_claim(name: str) -> Claim | None:
+    """Parse the name of a claim file; None for other names."""
+    found = _CLAIM_NAME.fullmatch(name)
+    return None if found is None else Claim(int(found[1]), int(found[2]))

@@ -78,6 +78,18 @@ next call.
         "rewrites the queue and keeps all results."
     ),
 )
+BATCH_QUEUE_REFUSED = Code(
+    "batch.queue-refused",
+    "Queue or job that a worker refuses",
+    """
+Everybody who can write to OUT can change the queue. A worker therefore only runs what `scanloom batch` could
+have written: scans under relative paths, results below OUT without links that lead elsewhere, known stages, a
+valid configuration, and a cache in OUT or in a folder that already is one. The files of the queue must belong
+to you, to root, or to the owner of OUT, and none may be a link.
+""",
+    "out/queue/0001: the queue contains a link; if you trust the folder, run `scanloom batch` again: it "
+    "rewrites the queue and keeps all results.",
+)
 BATCH_SCANS_NOT_DONE = Code(
     "batch.scans-not-done",
     "No scans, or unfinished scans",

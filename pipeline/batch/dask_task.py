@@ -55,7 +55,8 @@ def main() -> None:
     except KeyboardInterrupt:
         sys.exit(1)
     except ScanloomError as error:
-        sys.stderr.write(f"{error}\n")
+        # In a JSON string, control characters of names are escaped.
+        sys.stderr.write(json.dumps(str(error))[1:-1] + "\n")
         sys.exit(1)
 
 

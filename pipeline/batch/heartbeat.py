@@ -22,6 +22,8 @@ from scanloom.stages.files.input_files import read_input_text
 
 _SUFFIX = ".alive"
 _ENDED = "ended"
+# Links and pipes in place of a heartbeat are not followed.
+_OVERWRITE = os.O_WRONLY | sum(getattr(os, name, 0) for name in ("O_NOFOLLOW", "O_NONBLOCK", "O_BINARY"))
 # Beats per `take_over_after`, and the maximum seconds between two beats.
 _BEATS_PER_TIMEOUT, _MAX_INTERVAL = 8, 2.0
 # Minimum number of missed beats before a worker is presumed dead, whatever timeout the observer uses.
@@ -63,7 +65,7 @@ class Heartbeat:
         self._stop.set()
         self._thread.join()
         with contextlib.suppress(OSError):
-            self._path.write_text(f"{_ENDED}\n", encoding="utf-8")
+            self._overwrite(f"{_ENDED}\n", os.O_TRUNC)
 
     def _run_beats(self) -> None:
         count = 0
@@ -75,9 +77,12 @@ class Heartbeat:
 
     def _write(self, count: int) -> None:
         # Constant length: overwriting in place works on a full disk, too.
-        descriptor = os.open(self._path, os.O_WRONLY | os.O_CREAT | getattr(os, "O_BINARY", 0), 0o666)
+        self._overwrite(f"{count:012d} beats, one each {self.interval:09.3f} s\n", os.O_CREAT)
+
+    def _overwrite(self, text: str, flag: int) -> None:
+        descriptor = os.open(self._path, _OVERWRITE | flag, 0o666)
         try:
-            os.write(descriptor, f"{count:012d} beats, one each {self.interval:09.3f} s\n".encode())
+            os.write(descriptor, text.encode())
         finally:
             os.close(descriptor)
 
@@ -116,7 +121,7 @@ class HeartbeatObserver:
         A worker is presumed dead after `after` seconds of silence, and at least several missed beats.
         """
         said, _ = self._update(worker)
-        every = re.search(r"one each ([0-9.]+) s", said)
+        every = re.search(r"one each ([0-9]{5}\.[0-9]{3}) s", said)
         return self.get_silence(worker) > max(after, _MIN_MISSED_BEATS * float(every[1]) if every else 0.0)
 
     def read_heartbeat(self, worker: str) -> str:

@@ -18,12 +18,17 @@ import os
 import shutil
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
 from scanloom.pipeline.batch.atomic_write import write_atomically_unlocked
 from scanloom.pipeline.batch.codes import BATCH_QUEUE_DAMAGED
+from scanloom.pipeline.batch.queue_validation import (
+    find_job_problem,
+    require_trusted_files,
+    require_valid_settings,
+)
 from scanloom.pipeline.cache.digest import compute_digest
 from scanloom.pipeline.error_conversion import convert_os_errors
 from scanloom.pipeline.relative_paths import get_relative_path
@@ -31,7 +36,6 @@ from scanloom.stages import __version__
 from scanloom.stages.diagnostics.errors import InputError
 from scanloom.stages.files.documents import require_shallow
 from scanloom.stages.files.input_files import read_input_text
-from scanloom.stages.files.path_safety import is_safe_relative_path
 
 QUEUE_FOLDER = "queue"
 _JOBS_FILE = "jobs.jsonl"
@@ -40,6 +44,10 @@ _FORMAT_VERSION = 2
 RESERVED_NAMES = frozenset({QUEUE_FOLDER, "cache", "index.html", "batch.csv", "batch.parquet", "batch.json"})
 # Seconds to wait for another process to finish writing a queue, and seconds between two checks.
 _WRITE_TIMEOUT, _POLL_INTERVAL = 10.0, 0.1
+_SUBFOLDERS = ("claims", "done", "workers")
+_MAX_JOBS = 1_000_000
+# Maximum digits of the number of a queue.
+_MAX_DIGITS = 9
 
 
 @dataclass(frozen=True)
@@ -87,7 +95,8 @@ class BatchQueue:
     ----------
     out : output folder of the batch.
     folder : folder of the queue.
-    damaged : numbers of the jobs whose lines are damaged.
+    damaged : numbers of the jobs whose lines are damaged or refused.
+    refusals : reason of each refused job, by number.
     version : version of scanloom that wrote the queue.
     """
 
@@ -97,6 +106,7 @@ class BatchQueue:
     jobs: tuple[Job, ...]
     damaged: tuple[int, ...]
     version: str
+    refusals: Mapping[int, str] = field(default_factory=dict)
 
     @property
     def numbers(self) -> list[int]:
@@ -178,12 +188,13 @@ def create_queue(out: Path, number: int, settings: BatchSettings, jobs: Sequence
     """
     with convert_os_errors(f"the queue in {out / QUEUE_FOLDER} cannot be written"):
         (out / QUEUE_FOLDER).mkdir(parents=True, exist_ok=True)
+        require_trusted_files(out, [out / QUEUE_FOLDER])
         folder = out / QUEUE_FOLDER / f"{number:04d}"
         try:
             folder.mkdir()
         except FileExistsError:
             return None
-        for name in ("claims", "done", "workers"):
+        for name in _SUBFOLDERS:
             (folder / name).mkdir()
         head = {"schema": _FORMAT_VERSION, "scanloom": __version__, "jobs": len(jobs), **asdict(settings)}
         lines = [_format_line(head), *(_format_line(asdict(job)) for job in jobs)]
@@ -197,7 +208,8 @@ def create_queue(out: Path, number: int, settings: BatchSettings, jobs: Sequence
 def _list_queue_folders(out: Path) -> list[Path]:
     folder = out / QUEUE_FOLDER
     found = folder.iterdir() if folder.is_dir() else ()
-    return sorted((path for path in found if path.name.isascii() and path.name.isdigit()), key=_parse_number)
+    numbered = (path for path in found if path.name.isascii() and path.name.isdigit())
+    return sorted((path for path in numbered if len(path.name) <= _MAX_DIGITS), key=_parse_number)
 
 
 def _parse_number(folder: Path) -> int:
@@ -231,24 +243,41 @@ def _format_line(values: Mapping[str, Any]) -> str:
 
 def _read_queue(out: Path, folder: Path) -> BatchQueue:
     path = folder / _JOBS_FILE
+    subfolders = [folder / name for name in _SUBFOLDERS]
+    require_trusted_files(out, [out / QUEUE_FOLDER, folder, *subfolders, path])
     try:
         head, *rest = read_input_text(path, "utf-8").split("\n")
     except (OSError, UnicodeDecodeError):
         head, rest = "", []
     about = _parse_line(head)
     count = about.get("jobs") if about else None
-    settings = _parse_settings(about) if about else None
-    if about is None or settings is None or not isinstance(count, int):
+    settings = _parse_settings(about, out, path) if about else None
+    if about is None or settings is None or type(count) is not int or not 0 <= count <= _MAX_JOBS:
         raise InputError(
             BATCH_QUEUE_DAMAGED,
             "the queue is damaged, or was written by another version",
             path,
             remedy="run `scanloom batch` again: it rewrites the queue and keeps all results.",
         )
-    jobs = {job.number: job for line in rest if line and (job := _parse_job(line)) is not None}
+    jobs: dict[int, Job] = {}
+    refusals: dict[int, str] = {}
+    taken: set[str] = set()
+    for values in map(_parse_line, rest):
+        number = None if values is None else values.get("number")
+        if values is None or type(number) is not int or not 0 <= number < count or number in jobs:
+            continue
+        scan, name = values.get("scan"), values.get("name")
+        problem = find_job_problem(scan, name, out, RESERVED_NAMES)
+        if problem is None and str(name).casefold() in taken:
+            problem = f"its results {str(name)[:100]!r} are those of another job"
+        if problem is not None:
+            refusals[number] = problem
+            continue
+        taken.add(str(name).casefold())
+        jobs[number] = Job(number, str(scan), str(name))
     damaged = tuple(number for number in range(count) if number not in jobs)
     kept = tuple(jobs[number] for number in range(count) if number in jobs)
-    return BatchQueue(out, folder, settings, kept, damaged, str(about.get("scanloom")))
+    return BatchQueue(out, folder, settings, kept, damaged, str(about.get("scanloom"))[:40], refusals)
 
 
 def _parse_line(line: str) -> dict[str, Any] | None:
@@ -265,20 +294,12 @@ def _parse_line(line: str) -> dict[str, Any] | None:
         return None
 
 
-def _parse_settings(about: Mapping[str, Any]) -> BatchSettings | None:
+def _parse_settings(about: Mapping[str, Any], out: Path, path: Path) -> BatchSettings | None:
     if about.get("schema") != _FORMAT_VERSION:
         return None
     try:
         known = {one.name: about[one.name] for one in fields(BatchSettings)}
     except KeyError:
         return None
+    require_valid_settings(known, out, path)
     return BatchSettings(**{**known, "force": tuple(known["force"])})
-
-
-def _parse_job(line: str) -> Job | None:
-    values = _parse_line(line)
-    try:
-        job = None if values is None else Job(int(values["number"]), str(values["scan"]), str(values["name"]))
-    except (LookupError, ValueError, TypeError):
-        return None
-    return job if job is not None and is_safe_relative_path(job.name) else None

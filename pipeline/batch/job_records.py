@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields
@@ -10,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from scanloom.pipeline.batch.atomic_write import write_atomically_unlocked
-from scanloom.pipeline.batch.claims import Claim
+from scanloom.pipeline.batch.claims import Claim, parse_claim
 from scanloom.stages.diagnostics.diagnostic import Diagnostic, Severity
 from scanloom.stages.files.input_files import read_input_text
 
@@ -50,6 +51,21 @@ class JobRecord:
         return tuple(one for one in self.diagnostics if one.severity is Severity.WARNING)
 
 
+def _require_valid(record: JobRecord, claim: Claim) -> None:
+    """Raise ValueError if a record has values that no worker writes; it is read from a shared folder."""
+    texts = (record.name, record.reason, record.worker)
+    details = ((one.message, one.remedy or "", one.code) for one in record.diagnostics)
+    if not (
+        (record.number, record.attempt) == (claim.number, claim.attempt)
+        and record.state in (DONE, UNMET, FAILED, UNUSABLE)
+        and all(isinstance(text, str) for text in (*texts, *(text for one in details for text in one)))
+        and type(record.seconds) in (int, float)
+        and math.isfinite(record.seconds)
+        and isinstance(record.metrics, dict)
+    ):
+        raise ValueError("a value of the record is invalid")
+
+
 class JobRecords:
     """Folder of job records of a queue."""
 
@@ -81,11 +97,8 @@ class JobRecords:
         """List all finished attempts."""
         with os.scandir(self._folder) as names:
             parts = [one.name.split(".") for one in names if one.name.endswith(".json")]
-        return [
-            Claim(int(part[0]), int(part[1]))
-            for part in parts
-            if len(part) == 3 and part[0].isdigit() and part[1].isdigit()
-        ]
+        claims = [parse_claim(".".join(part[:2])) for part in parts if len(part) == 3]
+        return [claim for claim in claims if claim is not None]
 
     def read_records(self, claims: Iterable[Claim]) -> list[JobRecord]:
         """Read the records of attempts, sorted by job number.
@@ -99,7 +112,9 @@ class JobRecords:
             values = json.loads(read_input_text(self._get_path(claim), "utf-8"))
             known = {one.name: values[one.name] for one in fields(JobRecord)}
             diagnostics = tuple(Diagnostic.from_dict(one) for one in known["diagnostics"])
-            return JobRecord(**{**known, "diagnostics": diagnostics})
+            record = JobRecord(**{**known, "diagnostics": diagnostics})
+            _require_valid(record, claim)
+            return record
         except (OSError, ValueError, LookupError, TypeError, RecursionError):
             why = f"the outcome is unknown, because {self._get_path(claim)} is damaged; run the batch again."
             return JobRecord(claim.number, "", FAILED, why, attempt=claim.attempt)

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import csv
 import io
+import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from scanloom.pipeline.batch.claims import Claims
 from scanloom.pipeline.batch.job_queue import BatchQueue
 from scanloom.pipeline.batch.job_records import DONE, RUNNING, UNUSABLE, WAITING, JobRecord, JobRecords
+from scanloom.stages.files.csv_cells import neutralize_csv_cell
+from scanloom.stages.files.path_safety import is_safe_relative_path
 
 CSV_FILE, PARQUET_FILE = "batch.csv", "batch.parquet"
 # Columns of a row with their types; metrics are named as in `scanloom.pipeline.batch.to_dict`.
@@ -42,6 +45,7 @@ _FIGURES: Mapping[str, type] = {
     "page": str,
     "picture": str,
 }
+_PATH_FIGURES = ("result", "page", "picture")
 COLUMNS: Mapping[str, type] = {**_RECORD_COLUMNS, **_FIGURES}
 
 
@@ -93,7 +97,7 @@ class BatchSummary:
                 # Relative to the table, which may be moved together with the results.
                 "out": one.name,
                 "folder": folder,
-                **{name: one.metrics.get(name) for name in _FIGURES},
+                **{name: _check_metric(name, one.metrics.get(name)) for name in _FIGURES},
             }
             for one, folder in zip(self.records, self.folders, strict=True)
         ]
@@ -118,9 +122,21 @@ def summarize_batch(queue: BatchQueue) -> BatchSummary:
         job = jobs.get(number)
         name = f"job {number}" if job is None else job.name
         state = RUNNING if number in begun else WAITING
-        found.append(ended.get(number, JobRecord(number, name, state)))
+        record = ended.get(number, JobRecord(number, name, state))
+        # Records are read from a shared folder, and their names become links.
+        found.append(replace(record, name=name))
         folders.append("" if job is None else str(queue.get_scan_path(job)))
     return BatchSummary(queue.out, tuple(found), tuple(folders))
+
+
+def _check_metric(name: str, value: Any) -> Any:
+    """Return a metric of a record, or None if it has the wrong type or is a path that leads elsewhere."""
+    kind = _FIGURES[name]
+    if type(value) is not kind and not (kind is float and type(value) is int):
+        return None
+    if name in _PATH_FIGURES and not is_safe_relative_path(value):
+        return None
+    return value if kind is not float or math.isfinite(value) else None
 
 
 def format_csv(rows: Sequence[Mapping[str, Any]]) -> bytes:
@@ -128,6 +144,7 @@ def format_csv(rows: Sequence[Mapping[str, Any]]) -> bytes:
     text = io.StringIO(newline="")
     writer = csv.DictWriter(text, [*COLUMNS], lineterminator="\n")
     writer.writeheader()
+    # Names and messages come from files. A cell that begins with a formula sign would be executed.
     writer.writerows({name: _to_csv_value(row[name]) for name in COLUMNS} for row in rows)
     return text.getvalue().encode()
 
@@ -151,4 +168,6 @@ def format_parquet(rows: Sequence[Mapping[str, Any]]) -> bytes | None:
 
 
 def _to_csv_value(value: Any) -> Any:
+    if isinstance(value, str):
+        return neutralize_csv_cell(value)
     return str(value).lower() if isinstance(value, bool) else value

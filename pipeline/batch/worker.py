@@ -15,12 +15,18 @@ from pathlib import Path
 
 from scanloom.pipeline.batch.admission import AdmissionControl, JobNeeds
 from scanloom.pipeline.batch.claims import CRASHED, KILLED, RELEASED, Claim, Claims
-from scanloom.pipeline.batch.codes import BATCH_SCAN_STUCK, BATCH_WORKER_STOPPED
+from scanloom.pipeline.batch.codes import (
+    BATCH_QUEUE_DAMAGED,
+    BATCH_QUEUE_REFUSED,
+    BATCH_SCAN_STUCK,
+    BATCH_WORKER_STOPPED,
+)
 from scanloom.pipeline.batch.heartbeat import Heartbeat, HeartbeatObserver, create_worker_name
 from scanloom.pipeline.batch.job_queue import BatchQueue
 from scanloom.pipeline.batch.job_records import FAILED, UNUSABLE, JobRecord, JobRecords
 from scanloom.pipeline.batch.job_scheduler import JobScheduler
 from scanloom.pipeline.batch.process_handle import JobProcess, Message
+from scanloom.pipeline.batch.queue_validation import is_inside
 from scanloom.pipeline.batch.slot import RunningJob, Slot
 from scanloom.pipeline.batch.worker_events import (
     JobEnded,
@@ -157,11 +163,18 @@ class Worker:
 
     def _start_job(self, slot: Slot, claim: Claim) -> None:
         job = self._jobs.get(claim.number)
-        if job is None:
-            where = self._queue.folder / "jobs.jsonl"
-            why = f"{where}: the line of this job is damaged; run the batch again to rewrite it."
+        problem = self._find_problem(claim.number)
+        if job is None or problem is not None:
             self._write_record(
-                JobRecord(claim.number, "", FAILED, why, worker=self.name, attempt=claim.attempt)
+                JobRecord(
+                    claim.number,
+                    "",
+                    FAILED,
+                    str(problem),
+                    worker=self.name,
+                    attempt=claim.attempt,
+                    diagnostics=() if problem is None else (problem,),
+                )
             )
             return
         slot.work = RunningJob(job, claim)
@@ -181,6 +194,29 @@ class Worker:
             }
         )
         self._on_event(JobStarted(job.name, claim.attempt))
+
+    def _find_problem(self, number: int) -> Diagnostic | None:
+        """Return why a job is not run; None if it can be run."""
+        job = self._jobs.get(number)
+        if job is None and number not in self._queue.refusals:
+            return BATCH_QUEUE_DAMAGED.error(
+                "the line of this job is damaged",
+                self._queue.folder / "jobs.jsonl",
+                remedy="run the batch again to rewrite it.",
+            )
+        folder = None if job is None else self._queue.get_output_folder(job)
+        if folder is None:
+            reason = self._queue.refusals[number]
+        elif not is_inside(folder, self._queue.out):
+            reason = f"a link leads from {folder} out of the output folder"
+        else:
+            return None
+        return BATCH_QUEUE_REFUSED.error(
+            "this job is refused: {reason}",
+            self._queue.folder / "jobs.jsonl",
+            remedy="run `scanloom batch` again, which rewrites the queue.",
+            reason=reason,
+        )
 
     @property
     def _log(self) -> Path:

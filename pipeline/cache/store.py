@@ -267,7 +267,7 @@ class Cache:
         with convert_os_errors(f"the cache folder {self.folder} cannot be used"):
             path = self._get_record_path(out).with_suffix(".lock")
             try:
-                self._prepare()
+                self.prepare()
                 lock = try_lock(path)
             except OSError as error:
                 if error.errno not in READ_ONLY_ERRORS:
@@ -283,7 +283,7 @@ class Cache:
         with convert_os_errors(f"the cache folder {self.folder} cannot be used"):
             text = json.dumps({"out": self._make_relative(out), **record}, indent=1)
             try:
-                self._prepare()
+                self.prepare()
                 write_atomically(self._get_record_path(out), text.encode())
             except OSError as error:
                 if error.errno not in READ_ONLY_ERRORS:
@@ -338,7 +338,8 @@ class Cache:
                 listed.append(_describe_entry(entry_path, entry_path.name in used, thorough=thorough))
         return listed
 
-    def _prepare(self) -> None:
+    def prepare(self) -> None:
+        """Create the folder of the cache, with the file that marks it as one."""
         for name in (_DRAFTS, _RUNS):
             _check_folder(self.folder / name)
             (self.folder / name).mkdir(parents=True, exist_ok=True)
@@ -361,7 +362,7 @@ class Cache:
             lock.release()
 
     def _create_draft(self, stage: str) -> tuple[Path, FileLock]:
-        self._prepare()
+        self.prepare()
         draft: Path | None = None
         lock: FileLock | None = None
         try:

@@ -1,17 +1,16 @@
-"""Encoding and decoding of image files in memory, and detection of their format and size."""
+"""Encoding and decoding of image files in memory."""
 
 from __future__ import annotations
 
 import io
-import re
 import warnings
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from scanloom.stages._opencv import require_opencv
+from scanloom.stages.files.image_headers import PNG_MAGIC, detect_image_format, read_header_size
 from scanloom.stages.files.memory_check import check_memory_available
 
 # Bytes per pixel: four 16-bit channels, held once by the decoder and once in the result.
@@ -21,58 +20,40 @@ _BYTES_PER_PIXEL = 16
 MAX_PIXELS = 1 << 27
 # Maximum texels of a texture atlas: 16384².
 _MAX_TEXELS = 1 << 28
-PNG_MAGIC = b"\x89PNG\r\n\x1a\n"
-# JPEG markers of a frame header, which holds the image size: SOF0-15 without DHT, JPG and DAC.
-_JPEG_FRAMES = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
-
-# Magic bytes, extension and media type. TGA has no magic bytes and is recognised by its file name.
-_IMAGE_MAGICS = (
-    (PNG_MAGIC, ".png", "image/png"),
-    (b"\xff\xd8\xff", ".jpg", "image/jpeg"),
-    (b"BM", ".bmp", "image/bmp"),
-    (b"GIF8", ".gif", "image/gif"),
-    (b"II*\0", ".tif", "image/tiff"),
-    (b"MM\0*", ".tif", "image/tiff"),
-)
-_UNKNOWN = ("", "application/octet-stream")
+# Decoders of Pillow, by extension, for files that OpenCV does not decode.
+_PILLOW_FORMATS = {
+    ".png": "PNG",
+    ".jpg": "JPEG",
+    ".bmp": "BMP",
+    ".gif": "GIF",
+    ".tif": "TIFF",
+    ".webp": "WEBP",
+    ".tga": "TGA",
+}
 
 
-def detect_image_type(data: bytes, name: str = "") -> tuple[str, str]:
-    """Detect the extension and media type of an image file.
-
-    Returns ("", "application/octet-stream") for unknown formats.
-    """
-    for beginning, extension, mime in _IMAGE_MAGICS:
-        if data.startswith(beginning):
-            return extension, mime
-    if data[:4] == b"RIFF" and data[8:12] == b"WEBP":
-        return ".webp", "image/webp"
-    if name.lower().endswith(".tga") and len(data) > 18:
-        return ".tga", "image/x-tga"
-    return _UNKNOWN
-
-
-def decode_image(data: bytes) -> NDArray[np.uint8] | None:
+def decode_image(data: bytes, name: str = "") -> NDArray[np.uint8] | None:
     """Decode an image as (h, w, 3) RGB or (h, w, 4) RGBA uint8.
 
-    The top row comes first. 16-bit images are converted to 8 bits. Returns None if the image is damaged or
-    too large.
-    """
-    require_opencv()
-    import cv2
+    The top row comes first. 16-bit images are converted to 8 bits. Returns None if the image is damaged, too
+    large, or not one of the formats of `detect_image_format`.
 
-    size = read_header_size(data)
-    if size is not None and not is_plausible_size(size, _MAX_TEXELS):
+    Parameters
+    ----------
+    name : file name, by which TGA is recognised.
+    """
+    kind = detect_image_format(data, name)
+    size = read_header_size(data, name)
+    if size is None or not is_plausible_size(size, _MAX_TEXELS):
         return None
-    if data.startswith(PNG_MAGIC) and is_truncated(data):
+    if kind == ".png" and is_truncated(data):
         return None
-    try:
-        image: Any = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED) if data else None
-    except cv2.error:
-        image = None
+    image = None if kind == ".tga" else decode_with_opencv(data)
     if image is None:
         require_image_memory(size)
-        return _decode_with_pillow(data)
+        return _decode_with_pillow(data, kind)
+    import cv2
+
     if image.dtype == np.uint16:
         image = np.rint(image / 257).astype(np.uint8)
     if image.dtype != np.uint8:
@@ -84,20 +65,41 @@ def decode_image(data: bytes) -> NDArray[np.uint8] | None:
     return np.asarray(cv2.cvtColor(image, code), np.uint8)
 
 
-def _decode_with_pillow(data: bytes) -> NDArray[np.uint8] | None:
-    """Decode formats that OpenCV does not support, such as TGA.
+def decode_with_opencv(data: bytes) -> NDArray[Any] | None:
+    """Decode an image whose format and size were checked, as stored; None if it does not decode."""
+    require_opencv()
+    import cv2
+
+    try:
+        image: Any = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    except cv2.error:
+        return None
+    # An array of more than four channels, or without pixels, is no image; the decoder of TIFF returns some.
+    if image is None or image.size == 0 or (image.ndim == 3 and image.shape[2] not in (3, 4)):
+        return None
+    return np.asarray(image)
+
+
+def _decode_with_pillow(data: bytes, kind: str) -> NDArray[np.uint8] | None:
+    """Decode with Pillow's decoder of a format, such as TGA, which OpenCV does not support.
 
     Returns None if damaged.
     """
+    if kind not in _PILLOW_FORMATS:
+        return None
     from PIL import Image
 
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            image = Image.open(io.BytesIO(data))
+            image = Image.open(io.BytesIO(data), formats=(_PILLOW_FORMATS[kind],))
+            if not is_plausible_size(image.size, _MAX_TEXELS):
+                return None
             has_alpha = image.mode in ("RGBA", "LA", "PA") or "transparency" in image.info
             return np.asarray(image.convert("RGBA" if has_alpha else "RGB"), np.uint8)
-    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError):
+    except MemoryError:
+        raise
+    except Exception:  # damaged files raise many different exceptions in Pillow
         return None
 
 
@@ -169,49 +171,3 @@ def is_truncated(data: bytes) -> bool:
             at += 12 + int.from_bytes(data[at : at + 4], "big")
         return at + 12 > len(data)
     return data.startswith(b"\xff\xd8\xff") and data.rfind(b"\xff\xd9") < 0
-
-
-def read_header_size(data: bytes) -> tuple[int, int] | None:
-    """Read the (width, height) that an image header states, unchecked.
-
-    Supports PNG, JPEG, PNM/PFM, TIFF, BMP, GIF and WebP; None for other formats and damaged headers.
-    """
-    if data.startswith(PNG_MAGIC) and len(data) >= 24:
-        return int.from_bytes(data[16:20], "big"), int.from_bytes(data[20:24], "big")
-    if data.startswith(b"\xff\xd8"):
-        return _read_jpeg_size(data)
-    pnm = re.match(rb"P[2356fF]\s+(?:#[^\n]*\n\s*)*(\d{1,10})\s+(?:#[^\n]*\n\s*)*(\d{1,10})\s", data[:4096])
-    return (int(pnm[1]), int(pnm[2])) if pnm else _read_size_with_pillow(data)
-
-
-def _read_jpeg_size(data: bytes) -> tuple[int, int] | None:
-    at = 2
-    while at + 9 <= len(data) and data[at] == 0xFF:
-        marker = data[at + 1]
-        if marker in _JPEG_FRAMES:
-            return int.from_bytes(data[at + 7 : at + 9], "big"), int.from_bytes(data[at + 5 : at + 7], "big")
-        at += 1 if marker == 0xFF else 2 + int.from_bytes(data[at + 2 : at + 4], "big")
-    return None
-
-
-def _read_size_with_pillow(data: bytes) -> tuple[int, int] | None:
-    """Read the size of a TIFF, BMP, GIF or WebP without decoding the image."""
-    kind = detect_image_type(data)[0]
-    if kind not in (".tif", ".bmp", ".gif", ".webp"):
-        return None
-    from PIL import BmpImagePlugin, GifImagePlugin, TiffImagePlugin, WebPImagePlugin
-
-    # Image.open would raise beyond Pillow's own size limit, so the plugin classes are used directly.
-    readers: dict[str, Callable[[io.BytesIO], Any]] = {
-        ".tif": TiffImagePlugin.TiffImageFile,
-        ".bmp": BmpImagePlugin.BmpImageFile,
-        ".gif": GifImagePlugin.GifImageFile,
-        ".webp": WebPImagePlugin.WebPImageFile,
-    }
-    try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            width, height = readers[kind](io.BytesIO(data)).size
-    except Exception:  # malformed headers raise many different exceptions in Pillow
-        return None
-    return width, height

@@ -17,11 +17,16 @@ from scanloom.stages.files.codes import FILE_DAMAGED, FILE_DEPTH_FORMAT, FILE_IM
 from scanloom.stages.files.exr import read_exr, read_exr_size
 from scanloom.stages.files.image_bytes import (
     MAX_PIXELS,
-    PNG_MAGIC,
+    decode_with_opencv,
     is_plausible_size,
     is_truncated,
-    read_header_size,
     require_image_memory,
+)
+from scanloom.stages.files.image_headers import (
+    PNG_MAGIC,
+    detect_image_format,
+    name_unsupported_format,
+    read_header_size,
 )
 from scanloom.stages.files.input_files import describe_os_error, open_input, read_input_bytes
 from scanloom.stages.files.memory_check import check_memory_available
@@ -249,9 +254,18 @@ def _require_plausible_size(size: tuple[int, int], source: Path | str) -> None:
 
 
 def _decode_stored(data: bytes, source: Path | str) -> NDArray[Any]:
-    require_opencv()
-    import cv2
-
+    if not detect_image_format(data):
+        if name := name_unsupported_format(data):
+            raise InputError(
+                FILE_IMAGE_FORMAT,
+                "{format} images are not supported",
+                source,
+                remedy="convert the image to PNG or JPEG.",
+                format=name,
+            )
+        raise InputError(
+            FILE_DAMAGED, "the image does not decode; it is damaged or has an unknown format.", source
+        )
     if is_truncated(data):
         raise InputError(
             FILE_DAMAGED, "the image is cut short", source, remedy="copy it again or leave the frame out."
@@ -259,13 +273,8 @@ def _decode_stored(data: bytes, source: Path | str) -> NDArray[Any]:
     size = read_header_size(data)
     if size is not None:
         _require_plausible_size(size, source)
-    try:
-        image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED) if data else None
-    except cv2.error:
-        image = None
+    image = None if size is None else decode_with_opencv(data)
     if image is None:
         require_image_memory(size)
-        raise InputError(
-            FILE_DAMAGED, "the image does not decode; it is damaged or has an unknown format.", source
-        )
-    return np.asarray(image)
+        raise InputError(FILE_DAMAGED, "the image does not decode; it is damaged.", source)
+    return image

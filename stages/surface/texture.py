@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from scanloom.stages.diagnostics.codes import USAGE_ARGUMENT_INVALID
 from scanloom.stages.diagnostics.errors import MeshError
-from scanloom.stages.files.image_bytes import decode_image, detect_image_type, encode_png, read_header_size
+from scanloom.stages.files.image_bytes import decode_image, encode_png
+from scanloom.stages.files.image_headers import detect_image_type, read_header_size
 from scanloom.stages.printing import format_count, format_line
 from scanloom.stages.surface.codes import MESH_NOT_FINITE, MESH_TEXTURE_DAMAGED
 
@@ -52,7 +53,7 @@ class Image:
         """
         if self.given is not None:
             return self.given
-        pixels = None if self.encoded is None else decode_image(self.encoded)
+        pixels = None if self.encoded is None else decode_image(self.encoded, self.name)
         if pixels is None:
             raise MeshError(
                 MESH_TEXTURE_DAMAGED,
@@ -66,7 +67,7 @@ class Image:
         """Width and height in texels from the image header, without decoding; None if unreadable."""
         if self.given is not None:
             return self.given.shape[1], self.given.shape[0]
-        return None if self.encoded is None else read_header_size(self.encoded)
+        return None if self.encoded is None else read_header_size(self.encoded, self.name)
 
     @cached_property
     def file_bytes(self) -> bytes:

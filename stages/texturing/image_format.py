@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scanloom.stages._opencv import require_opencv
-from scanloom.stages.files.image_bytes import detect_image_type, encode_image, encode_png
+from scanloom.stages.files.image_bytes import encode_image, encode_png
+from scanloom.stages.files.image_headers import detect_image_type
 from scanloom.stages.surface.texture import Image
 
 Pixels = NDArray[np.uint8]

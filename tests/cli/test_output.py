@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import json
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -176,3 +177,23 @@ def test_a_message_that_quotes_a_long_file_leaves_out_its_middle() -> None:
     assert len(said) < 2100
     assert said.startswith("mesh.ply: its format")
     assert said.endswith("ascii is known.")
+
+
+NAMES = ("\x1b]0;owned\x07", "\x9b2J", "a\rb", "a\u202eb", "\x08\x08", "\u2028")
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_control_characters_of_names_reach_no_terminal(capsys: pytest.CaptureFixture[str], name: str) -> None:
+    out = Output()
+    out.remark(f"room {name}: read")
+    out.report(MACHINE_BUG.warning("the frame {frame} is odd", name, frame=name))
+    out.result({"name": name}, f"{name}  done\nsecond {name}")
+    out.result({"name": name})
+    printed = "".join(capsys.readouterr())
+    assert not re.search("[\x00-\x09\x0b-\x1f\x7f-\x9f\u2028\u202e]", printed)
+    assert printed.count("\n") == 5
+    assert name.encode("unicode_escape").decode() in printed
+    Output(as_json=True).result({"name": name})
+    printed = capsys.readouterr().out
+    assert printed.isascii()
+    assert json.loads(printed)["name"] == name

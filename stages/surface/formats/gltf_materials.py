@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 
 from scanloom.stages.diagnostics.collector import emit
 from scanloom.stages.diagnostics.errors import MeshError
-from scanloom.stages.files.image_bytes import detect_image_type, encode_png
+from scanloom.stages.files.image_bytes import encode_png
+from scanloom.stages.files.image_headers import detect_image_type
 from scanloom.stages.surface.codes import MESH_LEFT_OUT, MESH_TEXTURE_DAMAGED
 from scanloom.stages.surface.formats.color_conversion import convert_linear_to_srgb, convert_srgb_to_linear
 from scanloom.stages.surface.formats.gltf_container import (

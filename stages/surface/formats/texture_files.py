@@ -9,7 +9,7 @@ from pathlib import Path, PurePosixPath, PureWindowsPath
 
 from scanloom.stages.diagnostics.collector import emit
 from scanloom.stages.files.atomic_files import write_file_atomically
-from scanloom.stages.files.image_bytes import detect_image_type
+from scanloom.stages.files.image_headers import detect_image_type
 from scanloom.stages.files.input_files import read_input_bytes
 from scanloom.stages.surface.codes import MESH_COMPANION_MISSING, MESH_TEXTURE_DAMAGED
 from scanloom.stages.surface.texture import Image

@@ -110,3 +110,17 @@ def test_what_no_batch_wrote_is_not_replaced(tmp_path: Path, name: str):
     (tmp_path / name).symlink_to(tmp_path / "elsewhere")
     with pytest.raises(InputError, match="this file was not written by a batch"):
         check_outputs_replaceable(tmp_path)
+
+
+@pytest.mark.parametrize(
+    "name", ["=cmd|' /C calc'!A0", "+1+1", "-2+3", "@SUM(A1)", "\t=1", "\r=1", " =1", "\n=1", "＝1", "\x1b=1"]
+)
+def test_no_cell_of_the_csv_is_a_formula(tmp_path: Path, name: str):
+    record = JobRecord(0, name, FAILED, name, -1.5, diagnostics=(), metrics={"layout": name})
+    table = format_csv(BatchSummary(tmp_path, (record,), (name,)).make_rows()).decode()
+    (row,) = csv.DictReader(io.StringIO(table, newline=""))
+    for column in ("scan", "reason", "out", "folder", "layout"):
+        assert row[column].startswith(("'", "\ufffd"))
+        assert row[column].endswith(name.lstrip("\r\x1b"))
+    assert row["seconds"] == "-1.5"
+    assert not re.search("[\x00-\x08\x0b-\x1f\x7f-\x9f]", table)

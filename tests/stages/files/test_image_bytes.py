@@ -12,7 +12,8 @@ import pytest
 from PIL import Image
 
 from scanloom.stages.diagnostics.errors import InputError
-from scanloom.stages.files.image_bytes import decode_image, encode_png, read_header_size
+from scanloom.stages.files.image_bytes import decode_image, encode_png
+from scanloom.stages.files.image_headers import read_header_size
 from scanloom.stages.files.images import read_image_size, read_stored_image
 
 SMALL = np.full((3, 5, 3), 7, np.uint8)
