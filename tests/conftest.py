@@ -1,4 +1,4 @@
-"""Fixtures every room's tests share."""
+"""Fixtures and settings of all tests."""
 
 import gc
 import os
@@ -8,23 +8,24 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
-# Before NumPy is loaded, here and in every child: between two products the threads of OpenBLAS otherwise spin
-# for some 20 ms, which other tests could use. 2⁴ turns, the least, change no result.
+# Set before NumPy is loaded, here and in every child process: OpenBLAS threads otherwise spin for 20 ms after
+# each product and slow other tests down. 2⁴ turns is the minimum and changes no result.
 os.environ.setdefault("OPENBLAS_THREAD_TIMEOUT", "4")
 
-# What decides whether a change lands draws the same examples every time; elsewhere new ones are tried.
+# CI draws the same examples in every run; elsewhere Hypothesis tries new examples.
 settings.register_profile("ci", derandomize=True)
 if os.environ.get("CI"):
     settings.load_profile("ci")
 
-# Started in the background of a script, Ctrl-C is ignored, here and in every child; tests of it need it.
+# Background processes of scripts ignore Ctrl-C, and so do their children. Tests of Ctrl-C need the default
+# handler.
 if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 TESTS = Path(__file__).parent
 
-# Slow tests that `make test` also runs: golden files, cache keys, commands, and textured models.
+# Slow tests that also run in `make test`: golden files, cache keys, commands, and textured models.
 IN_EVERY_RUN = (
     "cli",
     "golden",
@@ -48,13 +49,13 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 def pytest_collection_finish() -> None:
-    """Leave all that is there by now, thousands of tests and modules, out of every search for garbage."""
+    """Exclude all existing objects (thousands of tests and modules) from garbage collection."""
     gc.freeze()
 
 
 @pytest.fixture(scope="session")
 def shared_data() -> Path:
-    """Folder of real scans beside the checkout; the test is skipped where it is absent."""
+    """Get the folder of real scans next to the checkout, or skip the test if there is none."""
     folder = Path(__file__).resolve().parents[2] / "shared" / "data"
     if not folder.is_dir():
         pytest.skip("the real scans are not beside this checkout")

@@ -1,4 +1,4 @@
-"""What the benches build and conclude; what they measure is no matter of tests."""
+"""Meshes, comparisons and summaries of the benches; measured values are not tested."""
 
 import dataclasses
 from pathlib import Path
@@ -18,7 +18,7 @@ NO_TRIANGLES = np.zeros((0, 3), np.int32)
 
 
 @pytest.fixture(autouse=True)
-def _benches(monkeypatch: pytest.MonkeyPatch):
+def _add_benches_to_path(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.syspath_prepend(str(ROOT / "benches"))
 
 
@@ -86,13 +86,13 @@ def test_the_globe_is_a_closed_unit_sphere_facing_outward(meshes: ModuleType, st
     assert (np.cross(b - a, c - a) * a).sum(axis=1).min() > 0
 
 
-def test_the_globe_s_map_closes_at_the_date_line_and_ends_at_the_poles(meshes: ModuleType):
+def test_the_globe_map_wraps_at_the_date_line_and_ends_at_the_poles(meshes: ModuleType):
     globe = meshes.make_globe(2, MAP)
 
     def at(*direction: float) -> Any:
         return globe.colors[(globe.vertices @ direction).argmax()].astype(float)
 
-    middle = slice(3, 5)  # the equator runs between rows 3 and 4
+    middle = slice(3, 5)  # the equator is between rows 3 and 4
     np.testing.assert_allclose(at(1, 0, 0), MAP[middle, 7:9].mean(axis=(0, 1)), atol=0.51)
     np.testing.assert_allclose(at(-1, 0, 0), MAP[middle][:, [0, -1]].mean(axis=(0, 1)), atol=0.51)
     np.testing.assert_allclose(at(0, 1, 0), MAP[middle, 11:13].mean(axis=(0, 1)), atol=0.51)
@@ -175,10 +175,8 @@ def test_a_setting_beats_another_only_in_both_errors_and_on_no_more_triangles(re
     assert "default is 4.00 times that of CGAL Lindstrom–Turk, the best tool" in text
 
 
-def test_the_summary_takes_each_tool_at_its_best_and_leaves_out_meshes_without_colours(
-    results: ModuleType, row: Any
-):
-    # Two triangles that face the same way along their common side.
+def test_the_summary_uses_best_results_and_skips_meshes_without_colours(results: ModuleType, row: Any):
+    # Two triangles with the same direction along their common edge.
     broken = topology(Mesh(np.eye(4, 3), np.array([[0, 1, 2], [0, 1, 3], [1, 0, 2]], np.int32)))
     rows = [
         row(rms=2e-5, color=5.0, seconds=2.0),
@@ -205,7 +203,7 @@ def test_shuffled_hills_are_the_same_hills_in_another_order(speed: ModuleType):
 
     def parts(mesh: Mesh) -> set[Any]:
         corners = np.concatenate([mesh.vertices, mesh.colors], axis=1)[mesh.triangles]
-        # From the corner that comes first, round the same way.
+        # Rotate corners so that the smallest comes first; the orientation is unchanged.
         first = [min(range(3), key=lambda i: tuple(t[i])) for t in corners]
         return {np.roll(t, -i, axis=0).tobytes() for t, i in zip(corners, first, strict=True)}
 
@@ -236,7 +234,7 @@ def test_growth_is_relative_to_n_log_n(speed: ModuleType):
     assert ratios == pytest.approx({100: 1, 10_000: 2, 1_000_000: 1})
 
 
-def test_ours_is_held_to_what_a_peer_s_result_deviates_by(
+def test_our_bound_is_the_deviation_of_the_peer(
     meshes: ModuleType, at_a_bound: ModuleType, monkeypatch: pytest.MonkeyPatch
 ):
     from scanloom.stages.simplification.simplify import simplify
@@ -248,11 +246,11 @@ def test_ours_is_held_to_what_a_peer_s_result_deviates_by(
     monkeypatch.setattr(at_a_bound, "run_tools", lambda *_: peers)
     asked = []
 
-    def spied(*args: Any, **changes: Any) -> Any:
+    def spy_on_call(*args: Any, **changes: Any) -> Any:
         asked.append((changes["max_shape"], changes["max_color"]))
         return simplify(*args, **changes)
 
-    monkeypatch.setattr(at_a_bound, "simplify", spied)
+    monkeypatch.setattr(at_a_bound, "simplify", spy_on_call)
     rows = list(at_a_bound.compare_at_deviation(globe, "globe", 0.2, [], 1000))
 
     distance, levels = at_a_bound.find_two_sided_maximum(globe, light, 1000)
@@ -262,7 +260,7 @@ def test_ours_is_held_to_what_a_peer_s_result_deviates_by(
     assert all(row.count("|") == at_a_bound.HEAD.splitlines()[0].count("|") for row, _ in rows)
 
 
-def test_finding_more_than_is_proven_is_an_error(meshes: ModuleType, at_a_bound: ModuleType):
+def test_measuring_more_than_the_proven_bound_is_an_error(meshes: ModuleType, at_a_bound: ModuleType):
     from scanloom.stages.simplification.simplify import simplify
 
     globe = meshes.make_globe(12, MAP)
@@ -289,7 +287,7 @@ def test_the_near_cube_is_a_closed_unit_cube_facing_outward(normal_mesh: ModuleT
     assert np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2 == pytest.approx(6)
 
 
-def test_triangles_beyond_a_right_angle_are_turned(normal_mesh: ModuleType):
+def test_triangles_rotated_by_more_than_90_degrees_are_flipped(normal_mesh: ModuleType):
     cube = normal_mesh.make_near_cube()
     other = cube.triangles.copy()
     other[[7, 300]] = other[[7, 300], ::-1]
@@ -299,7 +297,7 @@ def test_triangles_beyond_a_right_angle_are_turned(normal_mesh: ModuleType):
     assert normal_mesh.count_flipped(cube.with_(triangles=other), cube) == (2, 0)
 
 
-def test_a_file_is_worth_having_if_none_is_smaller_and_nearer(rates: ModuleType):
+def test_a_file_is_optimal_if_none_is_smaller_and_closer(rates: ModuleType):
     small, middle, large = (
         rates.EncodedMesh(*values, "") for values in ((100, 4e-3), (200, 2e-3), (400, 1e-3))
     )
@@ -312,7 +310,7 @@ def test_a_file_is_worth_having_if_none_is_smaller_and_nearer(rates: ModuleType)
     assert rates.select_pareto_front([large, *worse, small, middle]) == [small, middle, large]
 
 
-def test_ours_is_a_file_that_exists_and_a_rival_s_lies_between_two(rates: ModuleType):
+def test_our_size_is_an_existing_file_and_the_peer_size_is_interpolated(rates: ModuleType):
     files = [rates.EncodedMesh(*values, "") for values in ((100, 4e-3), (200, 2e-3), (800, 1e-3))]
 
     assert rates.find_smallest(files, 2.5e-3) is files[1]
@@ -320,7 +318,7 @@ def test_ours_is_a_file_that_exists_and_a_rival_s_lies_between_two(rates: Module
     assert rates.find_smallest(files, 0.9e-3) is None
     assert rates.interpolate_size(files, 4e-3) == pytest.approx(100)
     assert rates.interpolate_size(files, 2e-3) == pytest.approx(200)
-    # Halfway in logarithms.
+    # Interpolation is halfway in logarithms.
     assert rates.interpolate_size(files, 2e-3 / 2**0.5) == pytest.approx(400)
     assert rates.interpolate_size(files, 4.1e-3) is None
     assert rates.interpolate_size(files, 0.9e-3) is None
@@ -335,7 +333,7 @@ def test_a_file_s_distance_is_the_larger_of_both_directions(normal_mesh: ModuleT
     # Two of six sides move off the surface, four along it.
     assert original.file(1, shifted, "").rms == pytest.approx(0.01 / 3, rel=0.05)
     assert original.file(1, cube, "").rms < 1e-9
-    # All of a part lies on the whole, but the whole is far from the part.
+    # All points of a part are on the whole, but the whole is far from the part.
     assert original.file(1, half, "").rms > 0.1
     assert rates.EncodedMesh(1, 1e-3, "").decibels == pytest.approx(60)
 
@@ -349,7 +347,7 @@ def test_draco_keeps_all_vertices_within_its_grid(normal_mesh: ModuleType):
 
     assert len(found.triangles) == len(cube.triangles)
     gaps = np.linalg.norm(found.vertices[:, None] - cube.vertices, axis=2)
-    # Half a step of the grid along each axis.
+    # Half a quantisation step along each axis.
     assert gaps.min(axis=1).max() <= 3**0.5 / 2 / (2**9 - 1) * (1 + 1e-6)
     assert len(encode_draco(cube, 12)) > len(encode_draco(cube, 9))
 
@@ -361,7 +359,7 @@ def normal_mesh_rates() -> ModuleType:
     return normal_mesh_rates
 
 
-def test_every_level_is_a_file_of_its_own_and_so_is_a_simplified_mesh(
+def test_every_level_and_every_simplified_mesh_is_a_separate_file(
     normal_mesh: ModuleType,
     normal_mesh_rates: ModuleType,
     rates: ModuleType,
@@ -383,12 +381,12 @@ def test_every_level_is_a_file_of_its_own_and_so_is_a_simplified_mesh(
     assert len(whole) == len(normal_mesh_rates.NO_LEVEL_TOLERANCES)
     for file, tolerance in zip(whole, normal_mesh_rates.NO_LEVEL_TOLERANCES, strict=True):
         assert "198 triangles" in file.made
-        # Half a triangulated cube is the cube; only rounding moves it, along three axes.
+        # The remeshed half cube equals the half cube, except for rounding along three axes.
         assert file.rms < 3**0.5 * tolerance
     assert np.diff([file.size for file in whole]).min() > 0
 
 
-def test_a_target_is_missed_above_1(normal_mesh_rates: ModuleType, rates: ModuleType):
+def test_a_ratio_above_1_misses_the_target(normal_mesh_rates: ModuleType, rates: ModuleType):
     file = rates.EncodedMesh(300, 1e-3, "")
 
     assert normal_mesh_rates.format_target_ratio(file, 200) == "1.50"
@@ -413,8 +411,8 @@ def reconstruction() -> ModuleType:
     return open3d_reconstruction
 
 
-def worst_shift_and_turn(poses: dict[int, Any], truth: list[Any]) -> tuple[float, float]:
-    """Largest distance, metres, and angle, radians, to true poses, in the first camera's world."""
+def compute_worst_pose_errors(poses: dict[int, Any], truth: list[Any]) -> tuple[float, float]:
+    """Compute the largest position error in metres and angle in radians, in the first camera's frame."""
     from scanloom.stages.registration.motion import compute_rotation_angle
 
     first = invert_pose(truth[0].world_from_camera)
@@ -424,7 +422,7 @@ def worst_shift_and_turn(poses: dict[int, Any], truth: list[Any]) -> tuple[float
 
 @pytest.mark.slow
 @pytest.mark.parametrize("fragment_frames", [12, 4])
-def test_open3d_s_reconstruction_system_finds_the_sample_s_poses(
+def test_open3d_reconstruction_finds_the_poses_of_the_sample(
     registration: ModuleType, reconstruction: ModuleType, fragment_frames: int
 ):
     truth = registration.read_frames(SAMPLE)[::2]
@@ -433,7 +431,7 @@ def test_open3d_s_reconstruction_system_finds_the_sample_s_poses(
     poses = reconstruction.run_reconstruction_system(hidden, fragment_frames=fragment_frames)
 
     assert sorted(poses) == list(range(len(truth)))
-    shift, turn = worst_shift_and_turn(poses, truth)
+    shift, turn = compute_worst_pose_errors(poses, truth)
     assert shift < 0.01
     assert turn < np.radians(0.5)
 
@@ -451,7 +449,7 @@ def test_a_scan_beyond_the_reconstruction_system_s_depth_fails(
         reconstruction.run_reconstruction_system(far)
 
 
-def test_points_that_do_not_agree_do_not_move_a_rigid_motion(reconstruction: ModuleType):
+def test_outliers_do_not_affect_a_rigid_motion(reconstruction: ModuleType):
     rng = np.random.default_rng(3)
     a = rng.uniform(-1, 1, (30, 3))
     motion = np.eye(4)
@@ -474,22 +472,22 @@ def test_open3d_s_dense_slam_follows_the_sample(registration: ModuleType):
 
     poses = run_dense_slam([registration.hide_pose(frame, depth_only=True) for frame in truth])
 
-    shift, turn = worst_shift_and_turn(poses, truth)
+    shift, turn = compute_worst_pose_errors(poses, truth)
     assert shift < 0.01
     assert turn < np.radians(1)
 
 
-def test_rivals_see_every_nth_frame_without_pose_or_colour(
+def test_peers_get_every_nth_frame_without_pose_or_colour(
     registration: ModuleType, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ):
     truth = registration.read_frames(SAMPLE)[::8]
     seen = []
 
-    def spied(frames: Any) -> Any:
+    def spy_on_call(frames: Any) -> Any:
         seen.extend(frames)
         return [{i: frame.world_from_camera for i, frame in enumerate(truth[:2])}, {2: np.eye(4)}]
 
-    monkeypatch.setitem(registration.TOOLS, "spy", spied)
+    monkeypatch.setitem(registration.TOOLS, "spy", spy_on_call)
     options = ["--every", "8", "--depth-only", "--only", "spy"]
     monkeypatch.setattr("sys.argv", ["registration.py", str(SAMPLE), *options])
     registration.main()
@@ -500,7 +498,7 @@ def test_rivals_see_every_nth_frame_without_pose_or_colour(
     assert cells[1:5] == ["spy", "2 of 3", "2", "0.0"]
 
 
-def test_a_rival_s_failure_is_a_row_that_says_why(
+def test_a_failure_of_a_peer_is_a_row_with_the_reason(
     registration: ModuleType, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ):
     def failing(_: Any) -> Any:

@@ -1,4 +1,4 @@
-"""scanloom is one import name: modules of users may be called `stages`, `pipeline` and `cli`."""
+"""User modules may be named `stages`, `pipeline` and `cli`: scanloom only occupies its own import name."""
 
 import os
 import subprocess
@@ -12,7 +12,7 @@ ROOT = Path(__file__).resolve().parents[1]
 
 
 def run_python(folder: Path, *words: object, path: str = str(ROOT)) -> str:
-    """Run Python in a folder, and return what it printed."""
+    """Run Python in a folder and get its standard output."""
     done = subprocess.run(
         [sys.executable, *map(str, words)],
         cwd=folder,
@@ -25,19 +25,19 @@ def run_python(folder: Path, *words: object, path: str = str(ROOT)) -> str:
     return done.stdout
 
 
-def test_a_script_beside_modules_of_the_same_names_works(tmp_path: Path) -> None:
+def test_a_script_works_next_to_modules_of_the_same_names(tmp_path: Path) -> None:
     folder = write_clashing_project(tmp_path)
-    told = run_python(folder, CODE).splitlines()
-    assert told == [
+    lines = run_python(folder, CODE).splitlines()
+    assert lines == [
         str(ROOT / "scanloom" / "__init__.py"),
         "stages cli steps",
         "4 quadric scanloom.pipeline.config",
     ]
 
 
-def test_the_command_works_beside_modules_of_the_same_names(tmp_path: Path) -> None:
+def test_the_command_works_next_to_modules_of_the_same_names(tmp_path: Path) -> None:
     folder = write_clashing_project(tmp_path)
-    # The script of an installation; Python finds the folder's own modules first.
+    # Like the script of an installation, but Python searches the current folder first.
     script = "import sys; from scanloom.cli.start import main; sys.argv = ['scanloom', '--version']; main()"
     assert run_python(folder, "-c", script, path=os.pathsep.join([".", str(ROOT)])).startswith("scanloom ")
 

@@ -1,4 +1,4 @@
-"""Imports go one way, cli → pipeline → stages → kernels, and only to what is declared; no circles."""
+"""Imports go from cli to pipeline to stages to kernels, only to declared dependencies, and without cycles."""
 
 import ast
 import re
@@ -18,7 +18,7 @@ else:
 ROOT = Path(__file__).resolve().parents[1]
 ROOMS = ("stages", "pipeline", "cli")
 MODULES = [path for room in ROOMS for path in sorted((ROOT / room).rglob("*.py"))]
-# What a distribution is imported as, where that is not its own name.
+# Import names that differ from the name of their distribution.
 IMPORTED_AS = {
     "backports.zstd": "backports",
     "opencv-contrib-python-headless": "cv2",
@@ -28,11 +28,11 @@ IMPORTED_AS = {
     "pyyaml": "yaml",
     "libusb-package": "libusb_package",
 }
-# In the standard library of some of the Pythons that are supported.
+# Part of the standard library only in some of the supported Python versions.
 LATER = {"compression", "tomllib"}
-# Type checkers bring it themselves; no program imports it.
+# Provided by type checkers; no program imports it.
 TYPES_ONLY = {"typing_extensions"}
-# Files that import what only an extra brings, and say so where it is missing.
+# Files that import dependencies of extras and report a missing extra.
 OF_EXTRAS = {
     "pipeline/batch/dask_executor.py": {"distributed": "distributed", "dask_jobqueue": "dask-jobqueue"},
     "pipeline/batch/summary.py": {"pyarrow": "pyarrow"},
@@ -42,20 +42,20 @@ OF_EXTRAS = {
     "stages/stereo/networks/worker.py": {"onnxruntime": "onnxruntime"},
     "stages/rendering/plots.py": {"matplotlib": "matplotlib"},
 }
-# Generated; no module imports it while the program runs.
+# Generated; no module imports it at run time.
 KEYWORDS = "scanloom.stages.params.keywords"
 HEAVY = ("open3d", "cv2", "OpenEXR", "scipy", "trimesh")
 
 
 @pytest.fixture(scope="module")
 def graph() -> Graph:
-    """Who imports whom in our own Python."""
-    # Type checkers alone read the generated module of keywords, which has the types of all rooms.
+    """Build the import graph of our Python modules."""
+    # Only type checkers read the generated keyword module, which imports from all packages.
     return build_python_graph(ROOT, ROOMS, inside="scanloom") | {KEYWORDS: set()}
 
 
-def imported(path: Path) -> set[str]:
-    """First names of everything a module imports, wherever in it; of our own, `scanloom.stages` and so on."""
+def find_imported_names(path: Path) -> set[str]:
+    """Find the top-level names of all imports in a module; `scanloom.stages` etc. for scanloom's packages."""
     names = set()
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):
@@ -69,7 +69,7 @@ def imported(path: Path) -> set[str]:
 
 @cache
 def declared() -> set[str]:
-    """Import names of the dependencies that every installation has."""
+    """List the import names of the required dependencies."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     names = [re.match(r"[\w.-]+", line)[0].lower() for line in project["dependencies"]]
     return {IMPORTED_AS.get(name, name.replace("-", "_")) for name in names}
@@ -77,7 +77,7 @@ def declared() -> set[str]:
 
 @cache
 def in_extras() -> set[str]:
-    """Names of the dependencies that users can ask for."""
+    """List the names of optional dependencies."""
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     extras = {name: lines for name, lines in project["optional-dependencies"].items() if name != "dev"}
     return {re.match(r"[\w.-]+", line)[0].lower() for lines in extras.values() for line in lines}
@@ -89,17 +89,24 @@ def test_imports_go_one_way_and_are_declared(path):
     allowed = {"scanloom", *(f"scanloom.{one}" for one in ROOMS[: ROOMS.index(room) + 1])}
     of_extras = OF_EXTRAS.get(path.relative_to(ROOT).as_posix(), {})
     assert set(of_extras.values()) <= in_extras()
-    others = imported(path) - set(sys.stdlib_module_names) - LATER - TYPES_ONLY - declared() - set(of_extras)
+    others = (
+        find_imported_names(path)
+        - set(sys.stdlib_module_names)
+        - LATER
+        - TYPES_ONLY
+        - declared()
+        - set(of_extras)
+    )
     assert others <= allowed, f"{path} imports {sorted(others - allowed)}"
 
 
-def test_python_has_no_circle_of_files_or_rooms(graph: Graph):
+def test_python_has_no_import_cycle_of_files_or_folders(graph: Graph):
     assert len(graph["scanloom.stages"]) > 20
     found = find_cycles(graph)
     assert not found, "\n".join(["a circle of imports", *found])
 
 
-def test_rust_has_no_circle_of_files_or_rooms():
+def test_rust_has_no_import_cycle_of_files_or_folders():
     graph = build_rust_graph(ROOT / "kernels" / "src")
 
     assert len(graph["crate"]) > 10
@@ -107,29 +114,29 @@ def test_rust_has_no_circle_of_files_or_rooms():
     assert not found, "\n".join(["a circle of imports", *found])
 
 
-def test_what_rust_s_comments_draw_is_no_program():
-    """It would be a test, and `make test` runs none of those."""
+def test_code_fences_in_rust_comments_are_text():
+    """Fenced code in Rust comments would be a doc test, and `make test` does not run doc tests."""
     for path in sorted((ROOT / "kernels" / "src").rglob("*.rs")):
         fences = re.findall(r"^\s*//[/!]\s*```(.*)$", path.read_text(encoding="utf-8"), re.MULTILINE)
         assert set(fences[::2]) <= {"text"}, path
 
 
-def test_stages_alone_knows_the_kernels(graph: Graph):
+def test_only_stages_imports_the_kernels(graph: Graph):
     kernels = "scanloom.stages._kernels"
     using = {module.split(".")[1] for module, imported in graph.items() if kernels in imported}
     assert using == {"stages"}
     assert not graph[kernels]
 
 
-def test_the_top_of_stages_can_be_read_at_a_glance():
+def test_the_top_folder_of_stages_is_short():
     entries = {path.name for path in (ROOT / "stages").iterdir()} - {"__pycache__"}
     ours = {name for name in entries if not name.endswith((".so", ".pyd"))}
 
     assert len(ours) <= 26, sorted(ours)
 
 
-def tree(root: Path, files: dict[str, str]) -> Path:
-    """A made tree of sources."""
+def write_tree(root: Path, files: dict[str, str]) -> Path:
+    """Write source files into a folder."""
     for name, text in files.items():
         path = root / name
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -152,7 +159,7 @@ PYTHON = {
 
 
 def test_imports_of_python_are_found(tmp_path: Path):
-    graph = build_python_graph(tree(tmp_path, PYTHON), ["a", "b"])
+    graph = build_python_graph(write_tree(tmp_path, PYTHON), ["a", "b"])
 
     assert graph["a"] == {"a.fusing.fuse"}
     assert graph["a.surface.mesh"] == {"a._compiled", "a.words"}
@@ -162,7 +169,7 @@ def test_imports_of_python_are_found(tmp_path: Path):
 
 
 @pytest.mark.parametrize(
-    ("file", "line", "told"),
+    ("file", "line", "report"),
     [
         ("a/fusing/plan.py", "import a.fusing.fuse", "a.fusing.fuse → a.fusing.plan → a.fusing.fuse"),
         (
@@ -180,13 +187,13 @@ def test_imports_of_python_are_found(tmp_path: Path):
         ("a/surface/edges.py", "import b.run", "in all: a → b → a"),
     ],
 )
-def test_a_circle_of_python_is_seen_and_drawn(tmp_path: Path, file: str, line: str, told: str | None):
+def test_an_import_cycle_in_python_is_reported(tmp_path: Path, file: str, line: str, report: str | None):
     changed = PYTHON | {"a/surface/sheets.py": "", file: f"{PYTHON.get(file, '')}{line}\n"}
 
-    found = find_cycles(build_python_graph(tree(tmp_path, changed), ["a", "b"]))
+    found = find_cycles(build_python_graph(write_tree(tmp_path, changed), ["a", "b"]))
 
-    assert (told is None) == (not found)
-    assert told is None or any(told in circle for circle in found), found
+    assert (report is None) == (not found)
+    assert report is None or any(report in circle for circle in found), found
 
 
 RUST = {
@@ -205,7 +212,7 @@ RUST = {
 
 
 def test_imports_of_rust_are_found(tmp_path: Path):
-    graph = build_rust_graph(tree(tmp_path, RUST))
+    graph = build_rust_graph(write_tree(tmp_path, RUST))
 
     assert graph == {
         "crate": {"crate.base", "crate.mesh", "crate.snm"},
@@ -223,7 +230,7 @@ def test_imports_of_rust_are_found(tmp_path: Path):
 
 
 @pytest.mark.parametrize(
-    ("file", "line", "told"),
+    ("file", "line", "report"),
     [
         ("mesh/star.rs", "use super::fan;", "files: crate.mesh.fan → crate.mesh.star → crate.mesh.fan"),
         ("mesh/star.rs", "fn f(fan: super::fan::Fan) {}", "in crate.mesh: crate.mesh.fan → crate.mesh.star"),
@@ -233,17 +240,17 @@ def test_imports_of_rust_are_found(tmp_path: Path):
         ("mesh/star.rs", "use crate::{base, snm::coder};", "crate.mesh.star imports crate.snm.coder"),
     ],
 )
-def test_a_circle_of_rust_is_seen_and_drawn(tmp_path: Path, file: str, line: str, told: str):
+def test_an_import_cycle_in_rust_is_reported(tmp_path: Path, file: str, line: str, report: str):
     changed = RUST | {file: f"{RUST.get(file, '')}{line}\n"}
 
-    found = find_cycles(build_rust_graph(tree(tmp_path, changed)))
+    found = find_cycles(build_rust_graph(write_tree(tmp_path, changed)))
 
-    assert any(told in circle for circle in found), found
+    assert any(report in circle for circle in found), found
 
 
 @pytest.mark.parametrize("folder", ["tests", "benches"])
-def test_no_rust_file_is_left_out(folder: str):
-    # Rust says nothing of a file that no `mod` names: its tests would never run.
+def test_every_rust_file_is_declared_by_mod(folder: str):
+    # Rust ignores a file that no `mod` declares, so its tests would never run.
     root = ROOT / "kernels" / folder
     files = {path.parent.name if path.name == "mod.rs" else path.stem for path in root.rglob("*.rs")}
 
@@ -252,7 +259,7 @@ def test_no_rust_file_is_left_out(folder: str):
     assert files - {"main"} == set(named)
 
 
-def test_kernels_know_no_python_outside_the_binding():
+def test_kernels_use_python_only_in_the_binding():
     source = ROOT / "kernels" / "src"
     for path in source.rglob("*.rs"):
         if path.relative_to(source).parts[0] not in ("python", "python.rs"):
@@ -260,7 +267,7 @@ def test_kernels_know_no_python_outside_the_binding():
             assert not re.search(r"\b(pyo3|numpy)\b", code), path
 
 
-def test_what_only_type_checkers_have_is_imported_for_them_alone():
+def test_modules_of_type_checkers_are_imported_for_type_checking_only():
     for path in MODULES:
         tree = ast.parse(path.read_text(encoding="utf-8"))
         for block in [node for node in ast.walk(tree) if isinstance(node, ast.If)]:

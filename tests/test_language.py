@@ -1,4 +1,4 @@
-"""Names and texts keep to the language of the field, as far as a program can judge."""
+"""Names and texts use the language of the field, as far as a program can check."""
 
 from collections import Counter
 
@@ -8,7 +8,7 @@ from tests.language.names import find_repeated_classes, list_functions
 from tests.language.phrases import PHRASES, find_phrase
 from tests.language.texts import read_texts
 
-# Shares over the repository; a reader's judgement allows single exceptions.
+# Maximum shares over the repository, because a reader may decide for single exceptions.
 MAX_FLAGGED = 0.03
 MIN_VERBS = 0.6
 

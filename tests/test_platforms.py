@@ -1,4 +1,4 @@
-"""Other systems: what is simulated of Windows, and whether recipes of wheels and images fit the project."""
+"""Other platforms: an emulation of Windows, and consistency of wheel and image recipes with the project."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ CRATE = tomllib.loads((ROOT / "kernels" / "Cargo.toml").read_text(encoding="utf-
 DOCKERFILE = (ROOT / "Dockerfile").read_text(encoding="utf-8")
 WORKFLOW = ROOT / ".github" / "workflows" / "wheels.yml"
 
-# pathlib binds what it calls when it is imported, and shutil has other parts, in other versions.
+# The emulation patches functions that pathlib and shutil bind differently in other Python versions.
 simulated = pytest.mark.skipif(
     sys.platform != "linux" or not (3, 11) <= sys.version_info < (3, 14), reason="simulates Windows on Linux"
 )
@@ -51,7 +51,7 @@ assert ["Linux" in notes[0], "260 characters" in notes[1]] == [True, True], told
 """
 
 
-def as_windows(*words: str) -> str:
+def run_as_windows(*words: str) -> str:
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(map(str, (ROOT, ROOT / "tests" / "made")))}
     done = subprocess.run(
         [sys.executable, *words], cwd=ROOT, env=environment, capture_output=True, text=True, check=False
@@ -62,26 +62,26 @@ def as_windows(*words: str) -> str:
 
 @simulated
 @pytest.mark.slow
-def test_every_module_is_imported_without_what_windows_lacks() -> None:
-    assert int(as_windows("-c", IMPORT_ALL)) > 300
+def test_every_module_imports_without_unix_modules() -> None:
+    assert int(run_as_windows("-c", IMPORT_ALL)) > 300
 
 
 @simulated
 @pytest.mark.slow
-def test_locks_and_the_cache_do_on_windows_what_they_do_here() -> None:
-    told = as_windows(
+def test_locks_and_the_cache_work_on_windows() -> None:
+    report = run_as_windows(
         *("-m", "pytest", "-p", "pretend_windows", "-q", "tests/pipeline/test_locks.py"),
         *(f"tests/pipeline/test_{name}.py" for name in ("cache", "cache_shared", "cache_places")),
         "tests/stages/files/test_atomic_folders.py",
     )
-    passed = re.search(r"(\d+) passed", told)
+    passed = re.search(r"(\d+) passed", report)
     assert passed is not None
     assert int(passed[1]) > 100
 
 
 @simulated
 @pytest.mark.slow
-def test_killed_runs_leave_whole_results_or_none_on_windows(tmp_path: Path) -> None:
+def test_killed_runs_leave_no_partial_results_on_windows(tmp_path: Path) -> None:
     sys.path.insert(0, str(ROOT / "tests" / "pipeline"))
     try:
         import toy
@@ -90,14 +90,14 @@ def test_killed_runs_leave_whole_results_or_none_on_windows(tmp_path: Path) -> N
     scan = toy.write_scan(tmp_path / "scan", frames=2)
     (tmp_path / "work").mkdir()
     every = 25
-    kills = as_windows(
+    kills = run_as_windows(
         "tests/pipeline/kill_everywhere.py", str(scan), str(tmp_path / "work"), str(every), "windows"
     )
     assert int(kills) > 8
 
 
-def newest_python() -> int:
-    """The minor version of the newest Python that an installation takes."""
+def get_newest_python() -> int:
+    """Get the minor version of the newest Python that the project supports."""
     [_, limit] = re.findall(r"3\.(\d+)", PROJECT["requires-python"])
     return int(limit) - 1
 
@@ -105,17 +105,17 @@ def newest_python() -> int:
 def test_the_image_fits_the_project() -> None:
     pythons = {int(minor) for minor in re.findall(r"^FROM python:3\.(\d+)-slim", DOCKERFILE, re.MULTILINE)}
     assert len(pythons) == 1
-    assert 10 <= pythons.pop() <= newest_python()
+    assert 10 <= pythons.pop() <= get_newest_python()
     [rust] = re.findall(r"^FROM rust:(\d+\.\d+)-slim", DOCKERFILE, re.MULTILINE)
     assert tuple(map(int, rust.split("."))) >= tuple(map(int, CRATE["rust-version"].split(".")))
     assert 'ENTRYPOINT ["scanloom"]' in DOCKERFILE
-    # The last stage runs as a user of its own.
+    # The last stage runs as a separate user.
     last = DOCKERFILE.rpartition("FROM ")[2]
     assert re.search(r"^USER (?!root)", last, re.MULTILINE)
     assert "cargo" not in last
 
 
-def test_the_image_is_made_of_what_the_wheel_needs() -> None:
+def test_the_image_contains_the_sources_of_the_wheel() -> None:
     needed = {"pyproject.toml", "README.md", "LICENSE", "packaging", "kernels", "scanloom"}
     needed |= {"cli", "pipeline", "stages"}
     copied = re.findall(r"^COPY (?!--from)(.*) \S+$", DOCKERFILE, re.MULTILINE)
@@ -125,26 +125,26 @@ def test_the_image_is_made_of_what_the_wheel_needs() -> None:
     assert {line[1:].rstrip("/") for line in ignored if line.startswith("!")} == needed
 
 
-def workflow() -> dict[str, Any]:
+def load_workflow() -> dict[str, Any]:
     loaded = yaml.safe_load(WORKFLOW.read_text(encoding="utf-8"))
     assert isinstance(loaded, dict)
     return loaded
 
 
-def test_wheels_are_made_and_tried_on_every_system() -> None:
-    jobs = workflow()["jobs"]
+def test_wheels_are_built_and_tested_on_every_system() -> None:
+    jobs = load_workflow()["jobs"]
     built = jobs["wheel"]["strategy"]["matrix"]["include"]
     assert {one["runner"].split("-")[0] for one in built} == {"ubuntu", "windows", "macos"}
     tried = jobs["try"]["strategy"]["matrix"]
     pythons = {int(version.split(".")[1]) for version in tried["python"]}
     assert min(pythons) == 10
-    assert max(pythons) == newest_python()
+    assert max(pythons) == get_newest_python()
     assert {one.split("-")[0] for one in tried["runner"]} == {"ubuntu", "windows", "macos"}
     text = WORKFLOW.read_text(encoding="utf-8")
     assert "scanloom run samples/rgbd" in text
-    # Actions are taken by a version, and the token can write nothing.
+    # Actions are pinned by version, and the token is read-only.
     assert all(re.search(r"@v\d", used) for used in re.findall(r"uses: (\S+)", text))
-    assert workflow()["permissions"] == {"contents": "read"}
+    assert load_workflow()["permissions"] == {"contents": "read"}
 
 
 def test_the_wheels_rust_is_new_enough() -> None:
@@ -152,7 +152,7 @@ def test_the_wheels_rust_is_new_enough() -> None:
     assert rust == CRATE["rust-version"]
 
 
-def test_the_page_says_what_was_tried() -> None:
+def test_the_page_lists_the_tested_platforms() -> None:
     page = (ROOT / "docs" / "platforms.md").read_text(encoding="utf-8")
     assert PROJECT["requires-python"] in page
     assert "not tried on hardware" in page

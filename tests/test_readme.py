@@ -1,4 +1,4 @@
-"""What the README and its neighbours name exists, and the README's Python runs."""
+"""Commands, parameters and paths in the README and other pages exist, and the README's Python code runs."""
 
 import os
 import re
@@ -19,7 +19,7 @@ PAGES = ("README.md", "CONTRIBUTING.md", "samples/README.md")
 ROOMS = r"(?:cli|pipeline|stages|kernels|tests|benches|samples)"
 
 
-def test_every_parameter_it_names_exists():
+def test_every_parameter_in_the_readme_exists():
     known = {name: set(describe_all(cls)) for name, cls in Config.get_types().items()}
     for one in command_sections():
         known[one.name] = known.get(one.name, set()) | one.names
@@ -34,7 +34,9 @@ def test_every_parameter_it_names_exists():
 
 
 @pytest.mark.slow
-def test_its_python_runs(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]):
+def test_python_code_in_the_readme_runs(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+):
     (code,) = re.findall(r"```python\n(.*?)```", TEXT, flags=re.DOTALL)
     write_small_sample(tmp_path / "samples" / "rgbd")
     monkeypatch.chdir(tmp_path)
@@ -45,7 +47,7 @@ def test_its_python_runs(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys
     assert "stopped_by" in capsys.readouterr().out
 
 
-def test_every_command_it_names_exists():
+def test_every_command_in_the_readme_exists():
     from typer.main import get_command
 
     from scanloom.cli.app import app
@@ -56,7 +58,7 @@ def test_every_command_it_names_exists():
     assert named <= known
 
 
-def test_it_is_short_and_leads_to_every_page():
+def test_the_readme_is_short_and_links_to_every_page():
     assert len(TEXT.splitlines()) <= 150
     reached, ahead = set(), ["README.md"]
     while ahead:
@@ -69,23 +71,23 @@ def test_it_is_short_and_leads_to_every_page():
 
 
 @pytest.mark.parametrize("page", [*PAGES, *DOCS])
-def test_every_path_a_page_names_exists(page: str):
+def test_every_path_on_a_page_exists(page: str):
     text = (ROOT / page).read_text()
     named = {path.rstrip(".") for path in re.findall(rf"(?<![\w./-]){ROOMS}/[\w./-]*", text)}
-    # What a reader puts a name of his own in, NAME, lies in a folder that exists.
+    # NAME is a placeholder of the reader; its folder must exist.
     named = {re.sub(r"\bNAME.*", "", path) for path in named}
     linked = {(Path(page).parent / link).as_posix() for link in re.findall(r"\]\(([\w./-]+)\)", text)}
 
     assert named or page in DOCS
-    # A page of docs/ may name another from where it stands itself.
-    beside = (ROOT / page).parent
-    missing = {path for path in named if not (ROOT / path).exists() and not (beside / path).exists()}
+    # Pages of docs/ may use paths relative to themselves.
+    page_folder = (ROOT / page).parent
+    missing = {path for path in named if not (ROOT / path).exists() and not (page_folder / path).exists()}
     missing |= {path for path in linked if not (ROOT / path).exists()}
     assert not missing
 
 
 @pytest.mark.parametrize("page", PAGES[:2])
-def test_every_target_of_make_a_page_names_exists(page: str):
+def test_every_make_target_on_a_page_exists(page: str):
     text = (ROOT / page).read_text()
     targets = set(re.findall(r"^([\w-]+):", (ROOT / "Makefile").read_text(), flags=re.MULTILINE))
 

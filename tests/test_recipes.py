@@ -1,4 +1,4 @@
-"""The recipes of docs/ run, and do what their pages say."""
+"""The recipes of docs/ run and give the described results."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ def deform() -> ModuleType:
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
-    # Its dataclasses look their module up.
+    # Its dataclasses look up their module in sys.modules.
     sys.modules["deform"] = module
     spec.loader.exec_module(module)
     return module
 
 
 @pytest.mark.slow
-def test_deforming_refines_what_is_marked_then_what_bends(deform: ModuleType, tmp_path: Path) -> None:
+def test_deforming_refines_marked_and_then_bent_regions(deform: ModuleType, tmp_path: Path) -> None:
     mesh = deform.make_bar()
     write_mesh(tmp_path / "bar.ply", mesh)
     found = deform.main([str(tmp_path / "out"), "--mesh", str(tmp_path / "bar.ply")])
@@ -42,7 +42,7 @@ def test_deforming_refines_what_is_marked_then_what_bends(deform: ModuleType, tm
     exact = {tuple(vertex) for vertex in read_mesh(tmp_path / "bar.ply").vertices}
     assert all(tuple(vertex) in exact for vertex in front[marked])
     assert len(found.front.triangles) < len(mesh.triangles) / 2
-    # The handle is where it was moved to, and what is held stays, but for what iterations leave.
+    # Handle vertices are at their targets and held vertices stay, up to the error of the iterations.
     after = found.deformed.vertices
     np.testing.assert_allclose(after[marked], handle.move_points(front[marked]), atol=1e-6)
     np.testing.assert_allclose(after[held], front[held], atol=1e-6)
@@ -59,13 +59,13 @@ def test_deforming_refines_what_is_marked_then_what_bends(deform: ModuleType, tm
     assert (tmp_path / "out" / "deform.png").stat().st_size > 10_000
 
 
-def test_a_handle_that_holds_nothing_is_refused(deform: ModuleType) -> None:
+def test_a_handle_without_vertices_is_refused(deform: ModuleType) -> None:
     away = deform.Handle((9.0, 0.0, 0.0), 0.1, 0.4, (0.0, 0.0, 1.0), 0.0)
     with pytest.raises(UsageError, match="no vertex is within the radius of the handle"):
         deform.deform_as_rigid_as_possible(deform.make_bar(12, 12), away)
 
 
-def test_bends_are_how_much_neighbours_turn(deform: ModuleType) -> None:
+def test_bends_are_relative_rotations_of_neighbours(deform: ModuleType) -> None:
     flat = deform.Mesh(
         np.array([(0, 0, 0), (1, 0, 0), (0, 1, 0), (1, 1, 0)], float),
         np.array([(0, 1, 2), (1, 3, 2)], np.int32),
@@ -76,13 +76,13 @@ def test_bends_are_how_much_neighbours_turn(deform: ModuleType) -> None:
 
 
 @pytest.mark.slow
-def test_a_notebook_of_its_cells_runs_and_shows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_notebook_cells_run_and_show_a_page(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from nbclient import NotebookClient
     from nbformat import v4
 
     cells = re.findall(r"```python\n(.*?)```", (RECIPES / "notebook.md").read_text(), flags=re.DOTALL)
     write_small_sample(tmp_path / "samples" / "rgbd")
-    # The kernel is a process of its own, which keeps nothing outside of the test.
+    # The notebook kernel is a separate process, which must not leave files outside the test.
     for name in ("HOME", "IPYTHONDIR", "JUPYTER_RUNTIME_DIR"):
         monkeypatch.setenv(name, str(tmp_path))
     monkeypatch.setenv("PYTHONPATH", str(ROOT))
@@ -98,7 +98,7 @@ def test_a_notebook_of_its_cells_runs_and_shows(tmp_path: Path, monkeypatch: pyt
     assert shown[6].startswith('<iframe title="out"')
 
 
-def test_the_snakefile_calls_run_with_words_it_understands() -> None:
+def test_the_snakefile_calls_run_with_valid_options() -> None:
     from typer.main import get_command
 
     from scanloom.cli.app import app
@@ -125,5 +125,5 @@ def test_frames_from_arrays_become_a_textured_model(tmp_path: Path, monkeypatch:
     mesh = read_mesh(tmp_path / "textured.glb")
     assert mesh.texture is not None
     assert 500 < len(mesh.triangles) < 20_000
-    # Metres: the sample is a table of about half a metre.
+    # Metres: the sample shows a table of about half a metre.
     assert 0.1 < np.ptp(mesh.vertices, axis=0).max() < 5

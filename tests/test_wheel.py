@@ -1,4 +1,4 @@
-"""The wheel: one package, the kernels and the command, and nothing else."""
+"""The wheel contains one package with the kernels and the command, and nothing else."""
 
 import base64
 import csv
@@ -20,7 +20,7 @@ PACKAGES = ("stages", "pipeline", "cli")
 
 @pytest.fixture(scope="module")
 def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Build the wheel, once: two builds at the same time would use the same folder."""
+    """Build the wheel once; two builds at the same time would use the same folder."""
     folder = tmp_path_factory.mktemp("wheel")
     words = ["--no-build-isolation", "--no-deps", "--disable-pip-version-check", "--quiet", "--wheel-dir"]
     command = [sys.executable, "-m", "pip", "wheel", *words, str(folder), str(ROOT)]
@@ -62,7 +62,7 @@ def test_the_wheel_holds_one_package(wheel: Path) -> None:
     assert not any("node_modules" in name for name in names)
 
 
-def test_the_record_of_the_wheel_is_right(wheel: Path) -> None:
+def test_the_record_of_the_wheel_matches_its_files(wheel: Path) -> None:
     with zipfile.ZipFile(wheel) as archive:
         (record,) = [name for name in archive.namelist() if name.endswith(".dist-info/RECORD")]
         rows = list(csv.reader(archive.read(record).decode().splitlines()))
@@ -74,7 +74,7 @@ def test_the_record_of_the_wheel_is_right(wheel: Path) -> None:
                 assert (hashed, int(size)) == (f"sha256={digest}", len(content)), name
 
 
-def test_the_installed_wheel_works_beside_modules_of_the_same_names(wheel: Path, tmp_path: Path) -> None:
+def test_the_installed_wheel_works_next_to_modules_of_the_same_names(wheel: Path, tmp_path: Path) -> None:
     installed = tmp_path / "installed"
     words = ["--no-deps", "--disable-pip-version-check", "--quiet", "--target", str(installed), str(wheel)]
     subprocess.run([sys.executable, "-m", "pip", "install", *words], check=True)

@@ -30,7 +30,7 @@ def make_grid(*size: int) -> np.ndarray:
 
 
 def make_histograms(field: np.ndarray, count: int, noise: float) -> Histograms:
-    """One bin per measurement, so that the median is exact."""
+    """Make histograms with one bin per measurement, so that the median is exact."""
     values = field + np.random.default_rng(0).normal(0, noise, (count, len(field)))
     return Histograms(np.sort(values, axis=0).astype(np.float32), np.ones_like(values, np.float32))
 
@@ -59,7 +59,7 @@ def test_the_proximal_step_is_the_minimum(is_robust: bool):
 
 
 def test_operators_are_differences_within_the_field():
-    # Without one voxel.
+    # Leave out one voxel.
     positions = np.delete(make_grid(4, 3, 3), 13, axis=0)
     operators = VoxelOperators(positions[::-1] - 7)
     x, y, z = (positions[::-1] - 7).astype(np.float32).T
@@ -67,10 +67,10 @@ def test_operators_are_differences_within_the_field():
     found = (operators.gradient @ field).reshape(3, -1)
     for axis, slope in enumerate((2, -1, 3)):
         np.testing.assert_allclose(found[axis], slope * operators.has_next[axis], atol=1e-5)
-    # Two planes of 4 × 3 gaps of each kind, less the two at the missing voxel.
+    # Two planes of 4 × 3 gaps of each kind, minus the two at the missing voxel.
     assert operators.has_next.sum(axis=1).tolist() == [27 - 2, 24 - 2, 24 - 2]
 
-    # A rotation has no symmetrised gradient, where all differences exist.
+    # A rotation has no symmetrised gradient where all differences exist.
     turning = np.stack([-y, x, 0 * z]).ravel()
     bends = (operators.symmetrised @ turning).reshape(6, -1)
     inner = [(positions[::-1] == at).all(axis=1).argmax() for at in ((2, 1, 2), (3, 2, 2))]
@@ -109,7 +109,7 @@ def solve_line(histograms: Histograms, data_weight: float, order: int) -> float:
 
 
 @pytest.mark.parametrize("order", [1, 2])
-def test_on_a_line_the_minimum_is_that_of_linear_programming(order: int):
+def test_the_minimum_on_a_line_equals_linear_programming(order: int):
     x = np.arange(24.0)
     histograms = make_histograms(np.where(x < 10, 0.5 * x, 8 - 0.3 * x), 3, 1.0)
     energies: list[float] = []
@@ -139,7 +139,7 @@ def test_the_energy_decreases(order: int):
     )
 
     assert energies[-1] < 0.93 * energies[0]
-    # Primal-dual iterations are not monotonous, but converge.
+    # Primal-dual iterations converge, but not monotonically.
     assert energies[-1] <= 1.002 * min(energies)
     assert energies[-1] == pytest.approx(energies[-50], rel=0.01)
 
@@ -195,7 +195,7 @@ def test_the_surface_is_where_enough_frames_measured():
     assert normals[:, 2].sum() / 2 == pytest.approx(0.04 * 0.07, rel=1e-5)
 
 
-def test_without_regularisation_the_mesh_is_that_of_the_fusion(tmp_path: Path):
+def test_without_regularisation_the_mesh_equals_the_fused_mesh(tmp_path: Path):
     scan = scanloom.read_scan(write_small_scan(tmp_path / "made", 0))
     fused = scanloom.fuse(scan)
     band = measure_band(scan)
@@ -214,7 +214,7 @@ def test_without_regularisation_the_mesh_is_that_of_the_fusion(tmp_path: Path):
 
 
 def measure_distance(mesh: Mesh, other: Mesh, quantile: float) -> float:
-    """Return a quantile of the distances from vertices to the nearest ones of the other mesh."""
+    """Compute a quantile of the distances from vertices to the nearest vertices of another mesh."""
     distances = scipy.spatial.cKDTree(other.vertices).query(mesh.vertices)[0]
     return float(np.quantile(distances, quantile))
 
@@ -230,6 +230,6 @@ def test_the_band_is_around_the_surface():
     positions = make_grid(4, 4, 12)
     is_front = positions[:, 2] >= 6
     assert set(positions[find_band(positions, is_front), 2]) == {3, 4, 5, 6, 7, 8}
-    # Voxels that are not next to each other have no surface between them.
+    # Voxels that are not neighbours have no surface between them.
     apart = (positions[:, 2] < 5) | (positions[:, 2] > 6)
     assert len(find_band(positions[apart], is_front[apart])) == 0

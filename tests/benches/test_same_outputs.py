@@ -1,4 +1,4 @@
-"""The comparison of two checkouts tells what differs, and nothing that is different in each run."""
+"""The comparison of two checkouts reports differences and ignores values that change in each run."""
 
 import sys
 from pathlib import Path
@@ -15,11 +15,11 @@ from outputs.leaves import collect_folder_leaves, collect_json_leaves, count_lin
 from same_outputs import Side, compare_job, conclude
 
 
-def told(first, second):
+def list_differences(first, second):
     return [str(one) for one in find_differences(first, second)]
 
 
-def test_json_goes_by_values_and_drops_what_belongs_to_one_run():
+def test_json_is_compared_by_values_without_values_of_one_run():
     document = {
         "b": [1, {"c": None}],
         "seconds": 3.1,
@@ -35,25 +35,25 @@ def test_json_goes_by_values_and_drops_what_belongs_to_one_run():
     }
 
 
-def test_lines_go_by_their_words_and_number_without_seconds():
+def test_lines_are_counted_without_their_seconds():
     assert count_lines("done in 1.2 s\ndone in 31 s\n\n5 sheets", "log", {}) == {
         "log: done in SECONDS": "2",
         "log: 5 sheets": "1",
     }
 
 
-def test_archives_go_by_their_members(tmp_path: Path):
+def test_archives_are_compared_by_members(tmp_path: Path):
     arrays = {"same": np.arange(50), "other": np.ones(50)}
     np.savez(tmp_path / "record.npz", **arrays)
     plain = collect_folder_leaves(tmp_path, {})
     np.savez_compressed(tmp_path / "record.npz", **arrays)
     assert set(plain) == {"record.npz:same.npy", "record.npz:other.npy"}
-    assert told(plain, collect_folder_leaves(tmp_path, {})) == []
+    assert list_differences(plain, collect_folder_leaves(tmp_path, {})) == []
     np.savez(tmp_path / "record.npz", same=arrays["same"], other=np.zeros(50))
-    assert told(plain, collect_folder_leaves(tmp_path, {})) == ["changed record.npz:other.npy"]
+    assert list_differences(plain, collect_folder_leaves(tmp_path, {})) == ["changed record.npz:other.npy"]
 
 
-def test_entries_of_the_cache_go_by_their_stage(tmp_path: Path):
+def test_cache_entries_are_compared_by_stage(tmp_path: Path):
     for side, keys in (("a", "12"), ("b", "43")):
         for key, text in zip(keys, ("one", "two"), strict=True):
             entry = tmp_path / side / "cache" / "fuse" / (64 * key)
@@ -65,10 +65,10 @@ def test_entries_of_the_cache_go_by_their_stage(tmp_path: Path):
     assert first == second
 
 
-def test_what_differs_is_changed_gone_or_new():
+def test_a_difference_is_changed_gone_or_new():
     first = {"a.ply": "1", "j:x": "1", "j:y": "2", "same": "0"}
     second = {"a.ply": "2", "j:x": "1", "j:z": "3", "same": "0", "b.ply": "2"}
-    assert told(first, second) == ["changed a.ply", "new b.ply", "gone j:y", "new j:z"]
+    assert list_differences(first, second) == ["changed a.ply", "new b.ply", "gone j:y", "new j:z"]
 
 
 def test_a_value_under_another_name_is_moved():
@@ -76,23 +76,25 @@ def test_a_value_under_another_name_is_moved():
         {"j:proven": "true", "j:fitted": "true"},
         {"j:details.proven": "true", "j:details.fitted": "true"},
     )
-    assert told(*nested) == [
+    assert list_differences(*nested) == [
         "moved j:fitted -> j:details.fitted",
         "moved j:proven -> j:details.proven",
     ]
-    assert told({"j:max_texture": "30"}, {"j:max_color": "30"}) == ["moved j:max_texture -> j:max_color"]
-    # Which of the two is it?
-    assert told({"j:a": "0"}, {"j:b": "0", "j:c": "0"}) == ["gone j:a", "new j:b", "new j:c"]
-    assert told({"j:a.0": "0", "j:b.0": "0"}, {"j:d.a.0": "0", "j:d.b.0": "0"}) == [
+    assert list_differences({"j:max_texture": "30"}, {"j:max_color": "30"}) == [
+        "moved j:max_texture -> j:max_color"
+    ]
+    # Ambiguous: either of the two new values may be the moved value.
+    assert list_differences({"j:a": "0"}, {"j:b": "0", "j:c": "0"}) == ["gone j:a", "new j:b", "new j:c"]
+    assert list_differences({"j:a.0": "0", "j:b.0": "0"}, {"j:d.a.0": "0", "j:d.b.0": "0"}) == [
         "moved j:a.0 -> j:d.a.0",
         "moved j:b.0 -> j:d.b.0",
     ]
-    # With another value too, if at least the name's last part is the same.
-    assert told({"j:a": "0"}, {"j:d.a": "1"}) == ["changed j:a -> j:d.a"]
-    assert told({"j:a": "0"}, {"j:b": "1"}) == ["gone j:a", "new j:b"]
-    # Not in another document; files and lines have no name but their own.
-    assert told({"j:a": "0"}, {"k:a": "0"}) == ["gone j:a", "new k:a"]
-    assert told({"a.ply": "0", "log: a": "1"}, {"b.ply": "0", "log: b": "1"}) == [
+    # With a changed value, a move needs the same last part of the name.
+    assert list_differences({"j:a": "0"}, {"j:d.a": "1"}) == ["changed j:a -> j:d.a"]
+    assert list_differences({"j:a": "0"}, {"j:b": "1"}) == ["gone j:a", "new j:b"]
+    # Values do not move between documents; files and lines have no nested names.
+    assert list_differences({"j:a": "0"}, {"k:a": "0"}) == ["gone j:a", "new k:a"]
+    assert list_differences({"a.ply": "0", "log: a": "1"}, {"b.ply": "0", "log: b": "1"}) == [
         "gone a.ply",
         "new b.ply",
         "gone log: a",
@@ -100,7 +102,7 @@ def test_a_value_under_another_name_is_moved():
     ]
 
 
-def test_expected_differences_are_those_of_job_and_name():
+def test_expected_differences_match_job_and_name():
     moved = Difference("moved", "1 simplify:proven -> 1 simplify:details.proven")
     assert matches("a[0]*", "a[0] and more")
     assert not matches("a*", "ba")
@@ -109,8 +111,8 @@ def test_expected_differences_are_those_of_job_and_name():
     assert not ExpectedDifference("methods/*", "changed *", "").covers("methods/horse/seams", moved)
 
 
-def checkout(folder: Path, vertices: int) -> Path:
-    """A program that writes a file and prints where it runs, in place of ours."""
+def write_checkout(folder: Path, vertices: int) -> Path:
+    """Write a replacement for the program that writes a file and prints its path."""
     ours = folder / "scanloom"
     for package in (ours, ours / "stages", ours / "cli"):
         package.mkdir(parents=True)
@@ -128,9 +130,9 @@ def checkout(folder: Path, vertices: int) -> Path:
 
 @pytest.fixture
 def sides(tmp_path: Path) -> list[Side]:
-    # The last one is another program.
+    # The last side is another program.
     return [
-        Side(checkout(tmp_path / f"checkout{n}", 3 + n // 2), tmp_path / f"work{n}", identity=str(n))
+        Side(write_checkout(tmp_path / f"checkout{n}", 3 + n // 2), tmp_path / f"work{n}", identity=str(n))
         for n in range(3)
     ]
 
@@ -148,7 +150,7 @@ def test_a_job_is_the_same_wherever_it_runs(sides: list[Side], tmp_path: Path):
     assert row.first.leaves["1 mesh.ply:read.1"] == '"{data}/a b.ply"'
     assert row.first.leaves["2 other.ply stderr: careful"] == "1"
     assert "other.ply" in row.first.leaves
-    # The first side's outputs stay, the second's only if they differ.
+    # Outputs of the first side are kept; outputs of the second side only if they differ.
     assert (sides[0].folder_of(JOB) / "mesh.ply").is_file()
     assert not sides[1].folder_of(JOB).exists()
     assert conclude([row]) == 0
@@ -188,10 +190,10 @@ def test_another_program_differs_unless_that_is_expected(
     assert "expected, but not seen: words/*: gone *" in out
 
 
-def test_jobs_have_names_of_their_own_and_their_snippets_are_there(shared_data: Path):
+def test_job_names_are_unique_and_their_snippets_exist(shared_data: Path):
     jobs = list_jobs(shared_data)
     assert len({job.name for job in jobs}) == len(jobs)
-    # A job's folder must not lie in another's.
+    # Folders of jobs must not be nested.
     assert not {str(Path(job.name).parent) for job in jobs} & {job.name for job in jobs}
     for pattern in QUICK_PATTERNS:
         assert any(matches(pattern, job.name) for job in jobs)
@@ -202,7 +204,7 @@ def test_jobs_have_names_of_their_own_and_their_snippets_are_there(shared_data: 
 
 
 @pytest.mark.slow
-def test_made_inputs_are_the_same_each_time(tmp_path: Path):
+def test_made_inputs_are_deterministic(tmp_path: Path):
     sample = Path(__file__).parents[2] / "samples" / "rgbd"
     for name in "ab":
         inputs.write_inputs(tmp_path / name, sample)

@@ -33,7 +33,7 @@ from shape_measures import (
 
 
 def make_sheet(heights: np.ndarray, side: float = 1.0) -> Mesh:
-    """A square sheet whose rows of vertices have the given heights, facing up."""
+    """Make a square sheet that faces up, from the heights of its rows of vertices."""
     count = len(heights)
     x, y = np.meshgrid(np.linspace(0, side, count), np.linspace(0, side, count), indexing="ij")
     z = heights if heights.ndim == 2 else np.broadcast_to(heights[:, None], x.shape)
@@ -48,7 +48,7 @@ def move_mesh(mesh: Mesh, offset: tuple[float, float, float]) -> Mesh:
 
 
 def make_cube() -> Mesh:
-    """A unit cube whose sides share no vertices."""
+    """Make a unit cube whose sides share no vertices."""
     sheet = make_sheet(np.zeros(11))
     lid = move_mesh(sheet, (0, 0, 1))
     sides = []
@@ -63,7 +63,7 @@ def make_cube() -> Mesh:
 FLAT = make_sheet(np.zeros(21))
 
 
-def test_a_raised_sheet_has_its_height_as_every_distance():
+def test_all_distances_of_a_raised_sheet_equal_its_height():
     raised = move_mesh(FLAT, (0, 0, 0.003))
 
     errors = measure_truth_errors(raised, TruthSurface(FLAT), 5000)
@@ -73,7 +73,7 @@ def test_a_raised_sheet_has_its_height_as_every_distance():
     assert errors.normal_p90_deg == pytest.approx(0, abs=1e-4)
 
 
-def test_a_zigzag_has_its_slope_as_angle():
+def test_the_normal_error_of_a_zigzag_is_its_slope():
     slope = np.tan(np.radians(10)) * 0.05
     zigzag = make_sheet(slope * (np.arange(21) % 2))
 
@@ -81,17 +81,17 @@ def test_a_zigzag_has_its_slope_as_angle():
 
     assert errors.normal_median_deg == pytest.approx(10, abs=1e-3)
     assert errors.normal_p90_deg == pytest.approx(10, abs=1e-3)
-    # Heights are uniform from 0 to the top.
+    # Heights are uniformly distributed between 0 and the top.
     assert errors.mean_m == pytest.approx(slope / 2, rel=0.01)
     assert errors.rms_m == pytest.approx(slope / 3**0.5, rel=0.01)
     assert errors.p95_m == pytest.approx(0.95 * slope, rel=0.01)
 
 
-def test_sharp_edges_are_those_of_the_cube_and_the_border_of_the_sheet():
+def test_sharp_edges_are_cube_edges_and_sheet_borders():
     points = sample_sharp_edges(make_cube())
     on_faces = (np.abs(points - 0.5) > 0.5 - 1e-9).sum(axis=1)
     assert on_faces.min() >= 2
-    # Twelve edges in ten parts, each with a point per millimetre and one more.
+    # Twelve edges of ten segments, each with 101 points at 1 mm spacing.
     assert len(points) == pytest.approx(12 * 10 * 101, abs=120)
 
     border = sample_sharp_edges(FLAT)
@@ -105,7 +105,7 @@ def test_errors_near_edges_count_only_there():
 
     errors = measure_truth_errors(dented, TruthSurface(cube), 50_000)
 
-    # Between the edge and the next vertices the dent grows from 0 to 5 mm over 10 cm.
+    # The dent grows linearly from 0 at the edge to 5 mm at the next vertices, 10 cm away.
     assert errors.rms_m > 0.004
     assert errors.sharp_rms_m < 0.0005
 
@@ -121,8 +121,8 @@ def _select(mesh: Mesh, chosen: np.ndarray):
     return mesh.triangles[chosen], np.flatnonzero(chosen)
 
 
-def test_a_point_is_seen_in_the_image_in_front_and_from_its_front():
-    # A small plate 0.5 m above the sheet hides the middle from a camera 1 m above.
+def test_a_point_is_visible_inside_the_image_and_from_its_front():
+    # A small plate 0.5 m above the sheet occludes the middle for a camera 1 m above.
     plate = make_sheet(np.full(3, 0.5), 0.1)
     plate = move_mesh(plate, (0.45, 0.45, 0))
     both = Mesh(
@@ -150,7 +150,7 @@ def test_a_point_is_seen_in_the_image_in_front_and_from_its_front():
     assert not find_seen_points(SurfaceSamples(points, normals), TruthSurface(both), [lost]).any()
 
 
-def test_a_similarity_is_found_again():
+def test_a_known_similarity_is_recovered():
     cube = make_cube()
     turn = np.radians(1.5)
     motion = np.eye(4)
@@ -164,14 +164,14 @@ def test_a_similarity_is_found_again():
     np.testing.assert_allclose(found @ motion, np.eye(4), atol=1e-5)
 
 
-def test_planar_places_are_on_sheets_and_not_on_balls():
+def test_planar_regions_are_found_on_sheets_and_not_on_spheres():
     slope = np.tan(np.radians(10)) * 0.01
     zigzag = make_sheet(slope * (np.arange(101) % 2))
 
     places = find_planar_places(zigzag, 200)
     errors = measure_planar_errors(zigzag, places)
 
-    # Centres closer than 20 cm to the border have less than a full disc.
+    # Centres closer than 20 cm to the border do not have a full disc.
     assert 100 < len(places.centers) <= 200
     assert np.abs(places.normals[:, 2]).min() > 0.999
     assert errors.normal_median_deg == pytest.approx(10, abs=0.2)
@@ -190,7 +190,7 @@ def _make_ball(radius: float) -> Mesh:
     return Mesh(np.asarray(ball.vertices), np.asarray(ball.triangles, np.int32))
 
 
-def test_planar_places_that_a_mesh_lacks_are_left_out():
+def test_planar_regions_missing_from_a_mesh_are_ignored():
     places = find_planar_places(FLAT, 50)
     away = move_mesh(FLAT, (0, 0, 1))
 
@@ -215,7 +215,7 @@ def test_the_bench_prints_a_row_per_surface(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ):
     scans = [write_small_scan(tmp_path / name, number) for number, name in enumerate(("made", "found"))]
-    # The clean mesh is its own truth.
+    # The clean mesh serves as its own truth.
     clean = scanloom.clean(scanloom.fuse(scanloom.read_scan(scans[0])).mesh).mesh
     for name in ("truth.ply", "thin_parts.ply"):
         scanloom.write_mesh(scans[0] / name, clean)
@@ -236,10 +236,10 @@ def test_the_bench_prints_a_row_per_surface(
     ]
 
 
-def test_of_regularised_surfaces_the_best_is_chosen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_the_best_regularised_surface_is_chosen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     scan = scanloom.read_scan(write_small_scan(tmp_path / "made", 0))
     clean = scanloom.clean(scanloom.fuse(scan).mesh).mesh
-    # The smallest weight leaves no surface, and the next one smooths the ball away.
+    # The smallest weight leaves no surface; the second smooths the ball away.
     fast = [dataclasses.replace(regulariser, data_weights=(1e-6, 0.02, 10)) for regulariser in REGULARISERS]
     monkeypatch.setattr(shape, "REGULARISERS", fast)
     errors: list[float] = []
@@ -271,7 +271,7 @@ def test_regularised_surfaces_need_truth_and_the_option(tmp_path: Path, monkeypa
     assert count_surfaces(None, regularised=True) == count_surfaces(None, regularised=False)
 
 
-def test_the_truth_is_in_the_folder_or_named(tmp_path: Path):
+def test_the_truth_is_found_in_the_folder_or_by_option(tmp_path: Path):
     assert shape.find_truth(tmp_path, None) is None
     assert shape.find_truth(tmp_path, Path("other.ply")) == Path("other.ply")
     (tmp_path / "truth.ply").touch()

@@ -12,8 +12,8 @@ from texture_soundness import find_border, measure_soundness
 pytestmark = pytest.mark.slow
 
 
-def strip(upper: float = 0.0, mirrored: bool = False) -> Mesh:
-    """Two unit squares side by side, with a seam between: its vertices are there twice, one `upper` off."""
+def make_strip(upper: float = 0.0, mirrored: bool = False) -> Mesh:
+    """Make two unit squares with duplicated vertices on a seam, one of them raised by `upper`."""
     left = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0.0]])
     right = left + np.array([1, 0, 0])
     right[3, 2] = upper
@@ -26,32 +26,32 @@ def strip(upper: float = 0.0, mirrored: bool = False) -> Mesh:
 
 
 def test_a_seam_is_no_border():
-    ends = find_border(strip(), 1e-6)
+    ends = find_border(make_strip(), 1e-6)
     assert np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1).sum() == pytest.approx(6)
-    found = measure_soundness(strip(), strip())
+    found = measure_soundness(make_strip(), make_strip())
     assert found.new_border == 0
     assert (found.uv_flips, found.uv_triangles) == (0, 4)
 
 
 def test_a_seam_that_opens_is_a_new_border_on_both_sides():
-    found = measure_soundness(strip(), strip(upper=0.05))
+    found = measure_soundness(make_strip(), make_strip(upper=0.05))
     lengths = 1 + np.sqrt(1 + 0.05**2)
     assert found.new_border * np.sqrt(5) == pytest.approx(lengths, rel=1e-6)
 
 
 def test_a_removed_triangle_leaves_new_border_inside_and_on_the_seam():
-    whole = strip()
+    whole = make_strip()
     torn = whole.with_triangles(whole.triangles[:3], np.arange(3))
     assert measure_soundness(whole, torn).new_border * np.sqrt(5) == pytest.approx(1 + np.sqrt(2), rel=1e-6)
 
 
 def test_a_texture_turned_over_is_counted():
-    found = measure_soundness(strip(), strip(mirrored=True))
+    found = measure_soundness(make_strip(), make_strip(mirrored=True))
     assert (found.uv_flips, found.uv_triangles) == (2, 4)
-    # Where the original is mirrored too, that is how it should be.
-    assert measure_soundness(strip(mirrored=True), strip(mirrored=True)).uv_flips == 0
+    # Where the original is mirrored too, nothing is flipped.
+    assert measure_soundness(make_strip(mirrored=True), make_strip(mirrored=True)).uv_flips == 0
 
 
 def test_meshes_without_texture_have_no_flips():
-    bare = strip().with_(texture=None)
+    bare = make_strip().with_(texture=None)
     assert measure_soundness(bare, bare).uv_triangles == 0

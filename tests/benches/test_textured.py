@@ -1,4 +1,4 @@
-"""The table of textured models: materials of peers' results, and the summary."""
+"""The table of textured models: materials in results of other tools, and the summary."""
 
 from __future__ import annotations
 
@@ -32,12 +32,12 @@ from scanloom.stages.surface.surface_color import compute_surface_colors  # noqa
 pytestmark = pytest.mark.slow
 
 
-def row(tool: str, rms: float, psnr: float | None, triangles: int = 100) -> TexturedResult:
+def make_row(tool: str, rms: float, psnr: float | None, triangles: int = 100) -> TexturedResult:
     return TexturedResult(tool, triangles, 0.1, rms, 10 * rms, psnr, 0.0, "", 1.0)
 
 
-def two_coloured_ball() -> Mesh:
-    """Return a ball whose halves have images of one colour each."""
+def make_two_coloured_ball() -> Mesh:
+    """Make a sphere whose halves have single-colour images."""
     mesh = wrapped_ball()
     is_upper = mesh.vertices[mesh.triangles].mean(axis=1)[:, 2] > 0
     images = [Image(given=np.full((4, 4, 3), color, np.uint8)) for color in ((200, 0, 0), (0, 0, 200))]
@@ -46,39 +46,43 @@ def two_coloured_ball() -> Mesh:
     return mesh.with_(texture=texture)
 
 
-def test_the_summary_counts_what_is_as_good(capsys):
-    rows = [row(OURS, 20.0, 30.0), row("peer A", 25.0, 31.0), row("peer B", 19.0, 29.0)]
-    print_summary([("ball", 0.1, 100, rows), ("cube", 0.1, 100, [row(OURS, 5, 40), row("peer A", 6, 39)])])
+def test_the_summary_counts_results_that_are_as_good(capsys):
+    rows = [make_row(OURS, 20.0, 30.0), make_row("peer A", 25.0, 31.0), make_row("peer B", 19.0, 29.0)]
+    print_summary(
+        [("ball", 0.1, 100, rows), ("cube", 0.1, 100, [make_row(OURS, 5, 40), make_row("peer A", 6, 39)])]
+    )
     printed = capsys.readouterr().out
     assert "Of 2 cases" in printed
     assert "in RMS in 1, in PSNR in 1, in both in 1. In 2, no single peer is better in both." in printed
 
 
-def test_more_triangles_than_asked_for_are_no_merit(capsys):
-    print_summary([("ball", 0.1, 100, [row(OURS, 5.0, 40.0, triangles=300), row("peer A", 6.0, 39.0)])])
+def test_a_result_with_too_many_triangles_does_not_win(capsys):
+    print_summary(
+        [("ball", 0.1, 100, [make_row(OURS, 5.0, 40.0, triangles=300), make_row("peer A", 6.0, 39.0)])]
+    )
     printed = capsys.readouterr().out
     assert "no: the target is 100 triangles" in printed
     assert "in RMS in 0, in PSNR in 0, in both in 0. In 0, no single peer is better in both." in printed
 
 
-def test_a_peer_is_better_only_in_both():
-    ours = row(OURS, 20.0, 30.0)
-    assert is_better_in_both(row("peer", 19.0, 31.0), ours)
-    assert not is_better_in_both(row("peer", 19.0, 30.0), ours)
-    assert not is_better_in_both(row("peer", 20.04, 31.0), ours)
+def test_a_peer_is_better_only_in_both_errors():
+    ours = make_row(OURS, 20.0, 30.0)
+    assert is_better_in_both(make_row("peer", 19.0, 31.0), ours)
+    assert not is_better_in_both(make_row("peer", 19.0, 30.0), ours)
+    assert not is_better_in_both(make_row("peer", 20.04, 31.0), ours)
 
 
 def test_peers_that_stop_early_or_drop_the_texture_are_not_compared():
-    assert is_comparable(row("peer", 1, 30, triangles=105), 100)
-    assert not is_comparable(row("peer", 1, 30, triangles=110), 100)
-    assert not is_comparable(row("peer", 1, None), 100)
+    assert is_comparable(make_row("peer", 1, 30, triangles=105), 100)
+    assert not is_comparable(make_row("peer", 1, 30, triangles=110), 100)
+    assert not is_comparable(make_row("peer", 1, None), 100)
 
 
 @pytest.mark.parametrize("prepare", [run_keep_uv, run_pymeshlab])
 def test_triangles_keep_their_material(prepare):
     if prepare is run_pymeshlab:
         pytest.importorskip("pymeshlab")
-    mesh = two_coloured_ball()
+    mesh = make_two_coloured_ball()
     work, unpack = prepare(mesh, 300)
     simplified = unpack(work())
     middles = simplified.vertices[simplified.triangles].mean(axis=1)
@@ -95,11 +99,11 @@ def test_a_peer_that_fails_gets_a_reason():
     assert measure("peer", wrapped_ball(), 100, prepare, 1000) == "skipped: no such filter"
 
 
-def test_models_without_an_image_are_skipped_with_a_line(tmp_path, capsys):
-    write_mesh(tmp_path / "ball.glb", two_coloured_ball())
-    write_mesh(tmp_path / "bare.ply", two_coloured_ball().with_(texture=None))
+def test_models_without_an_image_are_skipped_with_a_message(tmp_path, capsys):
+    write_mesh(tmp_path / "ball.glb", make_two_coloured_ball())
+    write_mesh(tmp_path / "bare.ply", make_two_coloured_ball().with_(texture=None))
     (tmp_path / "inner").mkdir()
-    write_mesh(tmp_path / "inner" / "bare.glb", two_coloured_ball().with_(texture=None))
+    write_mesh(tmp_path / "inner" / "bare.glb", make_two_coloured_ball().with_(texture=None))
     (tmp_path / "damaged.obj").write_text("f 1 2 3\n")
     found = dict(read_models(tmp_path, [], tmp_path))
     assert list(found) == ["ball"]

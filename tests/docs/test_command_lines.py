@@ -1,4 +1,4 @@
-"""Every command line that a text names can be typed: in pages, in the help, in messages, and in scripts."""
+"""Command lines, options and keys in pages, help texts, messages and scripts exist and can be parsed."""
 
 from __future__ import annotations
 
@@ -23,73 +23,73 @@ from scanloom.stages.params import describe_all
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = ("README.md", "CONTRIBUTING.md", "samples/README.md")
-# Figures of earlier versions, with the commands that gave them.
+# Measurements of earlier versions, with the command lines of those versions.
 HISTORY = ("measured.md",)
 COMMANDS = {" ".join(words): words for words in iterate_commands()}
-# Words after "scanloom" that have to be a command.
+# A word after "scanloom" that is listed here must be part of a command.
 WORDS = {word for words in COMMANDS.values() for word in words} | set(GROUPS)
-# Options of other programs that pages name.
+# Options of other programs on pages.
 OTHERS = {
     *("--again", "--visitor", "--warp", "--frames", "--seed", "--truth", "--reach"),  # of scripts
     *("--cores", "--nthreads", "--executor", "--default-resources", "--keep-going"),  # Dask and Snakemake
 }
 
 
-def pages() -> list[Path]:
+def list_pages() -> list[Path]:
     docs = [path for path in sorted((ROOT / "docs").rglob("*.md")) if path.name not in HISTORY]
     return [*(ROOT / page for page in PAGES), *docs]
 
 
-def named(path: Path) -> str:
+def get_relative_name(path: Path) -> str:
     return path.relative_to(ROOT).as_posix()
 
 
-def code_of(text: str) -> Iterator[str]:
+def find_code(text: str) -> Iterator[str]:
     """Yield the lines of code blocks and the inline code of a page."""
     blocks = re.findall(r"^ *```[^\n]*\n(.*?)^ *```", text, flags=re.MULTILINE | re.DOTALL)
     for block in blocks:
         yield from block.splitlines()
     outside = re.sub(r"^ *```.*?^ *```", "", text, flags=re.MULTILINE | re.DOTALL)
-    # Inline code may go on in the next line.
+    # Inline code may continue on the next line.
     yield from (" ".join(span.split()) for span in re.findall(r"`([^`]+)`", outside))
 
 
 @cache
-def parser() -> Any:
+def build_parser() -> Any:
     return get_command(app())
 
 
 @cache
-def parser_of(name: str) -> Any:
-    command = parser()
+def get_command_parser(name: str) -> Any:
+    command = build_parser()
     for word in COMMANDS[name]:
         command = command.commands[word]
     return command
 
 
-def options_of(command: Any) -> set[str]:
+def list_options(command: Any) -> set[str]:
     return {one for parameter in command.params for one in (*parameter.opts, *parameter.secondary_opts)}
 
 
 @cache
-def sections_of(name: str) -> dict[str, type]:
+def get_sections(name: str) -> dict[str, type]:
     return set_sections(load_command(COMMANDS[name]))
 
 
-def parse(line: str) -> None:
-    """Parse a whole command line, and the words of its --set, without running the command."""
+def parse_line(line: str) -> None:
+    """Parse a command line and its --set assignments without running the command."""
     words = [word for word in shlex.split(line, comments=True) if word not in (";", "\\")][1:]
     name = " ".join(words[:2]) if words[0] in GROUPS else words[0]
     assert name in COMMANDS, line
-    # Only the first of several commands in a line.
+    # Check only the first command of a pipeline.
     rest = words[len(COMMANDS[name]) :]
     ends = [rest.index(word) for word in (">", "|", "&&", "2>") if word in rest]
-    context = parser_of(name).make_context(line, list(rest[: min(ends)] if ends else rest))
-    list(read_assignments(context.params.get("set_words") or (), sections_of(name)))
+    context = get_command_parser(name).make_context(line, list(rest[: min(ends)] if ends else rest))
+    list(read_assignments(context.params.get("set_words") or (), get_sections(name)))
 
 
-def mistakes_of(text: str) -> Iterator[str]:
-    """Yield what is wrong with the commands, options and keys that a text names in passing."""
+def find_mistakes(text: str) -> Iterator[str]:
+    """Yield errors in the commands, options and keys that occur in a text."""
     for found in re.finditer(r"\bscanloom ([a-z]+)(?: ([a-z]+))?((?:(?!scanloom )[^\n`;])*)", text):
         word, below, rest = found.groups()
         if word not in WORDS:
@@ -100,15 +100,15 @@ def mistakes_of(text: str) -> Iterator[str]:
                 continue
             yield f"no command: {found[0]}"
             continue
-        command = parser_of(name)
-        options = options_of(command)
+        command = get_command_parser(name)
+        options = list_options(command)
         for option in re.findall(r"(?<![\w-])--[a-z][a-z-]*", rest):
             if option not in options | {"--help"}:
                 yield f"{name} has no option {option}: {found[0]}"
-        yield from mistakes_of_keys(rest, sections_of(name))
+        yield from find_key_mistakes(rest, get_sections(name))
 
 
-def mistakes_of_keys(text: str, sections: dict[str, type]) -> Iterator[str]:
+def find_key_mistakes(text: str, sections: dict[str, type]) -> Iterator[str]:
     for section, key in re.findall(r"--set ([a-z_0-9]+)\.([a-z_0-9.]*[a-z_0-9])", text):
         if section == "section":
             continue
@@ -116,18 +116,18 @@ def mistakes_of_keys(text: str, sections: dict[str, type]) -> Iterator[str]:
             yield f"no parameter {section}.{key}: {text}"
 
 
-@pytest.mark.parametrize("page", pages(), ids=named)
+@pytest.mark.parametrize("page", list_pages(), ids=get_relative_name)
 def test_commands_and_options_of_a_page_exist(page: Path) -> None:
-    known = {one for name in COMMANDS for one in options_of(parser_of(name))}
-    known |= options_of(parser()) | {"--help"} | OTHERS
-    # Sections of commands alone have to be looked for as well.
+    known = {one for name in COMMANDS for one in list_options(get_command_parser(name))}
+    known |= list_options(build_parser()) | {"--help"} | OTHERS
+    # Include the sections that only single commands have.
     anywhere: dict[str, list[type]] = {name: [cls] for name, cls in Config.get_types().items()}
     for name in COMMANDS:
-        for section, cls in sections_of(name).items():
+        for section, cls in get_sections(name).items():
             anywhere.setdefault(section, []).append(cls)
     wrong = []
-    for line in code_of(page.read_text(encoding="utf-8")):
-        wrong += mistakes_of(line)
+    for line in find_code(page.read_text(encoding="utf-8")):
+        wrong += find_mistakes(line)
         if re.search(r"scanloom |\b(python|pytest|docker|pip|make|benches|dask|snakemake)\b", line):
             continue
         if line.startswith("--"):
@@ -141,28 +141,28 @@ def test_commands_and_options_of_a_page_exist(page: Path) -> None:
 
 
 @pytest.mark.parametrize("name", COMMANDS)
-def test_examples_of_the_help_are_understood(name: str) -> None:
-    text = parser_of(name).help
+def test_examples_in_the_help_can_be_parsed(name: str) -> None:
+    text = get_command_parser(name).help
     examples = re.findall(r"^Example: (scanloom [^\n]+)", text, flags=re.MULTILINE)
     assert examples
     for example in examples:
-        parse(example)
-    assert list(mistakes_of(text)) == []
+        parse_line(example)
+    assert list(find_mistakes(text)) == []
 
 
-def test_messages_name_commands_and_options_that_exist() -> None:
+def test_commands_and_options_in_messages_exist() -> None:
     wrong = {}
     for room in ("cli", "pipeline", "stages"):
         for path in (ROOT / room).rglob("*.py"):
-            # Adjacent literals are one text.
+            # Join adjacent string literals.
             text = re.sub(r"\"\n\s*f?\"", "", path.read_text(encoding="utf-8"))
-            if found := list(mistakes_of(text)):
-                wrong[named(path)] = found
+            if found := list(find_mistakes(text)):
+                wrong[get_relative_name(path)] = found
     assert wrong == {}
 
 
-def test_keys_that_messages_name_exist() -> None:
-    """Of `section.parameter=…`, which is rendered as it is typed."""
+def test_keys_in_messages_exist() -> None:
+    """Messages contain keys literally, as `section.parameter=…`."""
     known = all_sections()
     wrong = []
     for room in ("pipeline", "stages"):
@@ -170,11 +170,11 @@ def test_keys_that_messages_name_exist() -> None:
             text = re.sub(r"\"\n\s*f?\"", "", path.read_text(encoding="utf-8"))
             for section, key in re.findall(r"[\"`( ]([a-z]+)\.([a-z_0-9.]+)=[\w{<']", text):
                 if section in Config.get_types() and key not in describe_all(known[section]):
-                    wrong.append((named(path), f"{section}.{key}"))
+                    wrong.append((get_relative_name(path), f"{section}.{key}"))
     assert [one for one in wrong if not re.search(r"np|self|cfg", one[1])] == []
 
 
-def test_command_lines_of_comparisons_are_understood(
+def test_command_lines_of_comparisons_can_be_parsed(
     shared_data: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.syspath_prepend(ROOT / "benches")
@@ -184,11 +184,11 @@ def test_command_lines_of_comparisons_are_understood(
     for job in list_jobs(shared_data):
         for step in job.steps:
             words = shlex.split(step)
-            # Snippets of Python, and what is meant to be wrong.
+            # Skip Python snippets and intentionally wrong words.
             if words and not words[0].endswith(".py") and not job.name.startswith("words/"):
-                parse(f"scanloom {step}")
+                parse_line(f"scanloom {step}")
 
 
 @pytest.mark.parametrize("script", [".github/workflows/wheels.yml", "Makefile", "Dockerfile"])
-def test_scripts_name_commands_and_options_that_exist(script: str) -> None:
-    assert list(mistakes_of((ROOT / script).read_text(encoding="utf-8"))) == []
+def test_commands_and_options_in_scripts_exist(script: str) -> None:
+    assert list(find_mistakes((ROOT / script).read_text(encoding="utf-8"))) == []

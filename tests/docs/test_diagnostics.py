@@ -1,4 +1,4 @@
-"""Every code is explained on a page, emitted somewhere, and every diagnostic has a code."""
+"""Every code is explained on a page and emitted somewhere, and every diagnostic has a code."""
 
 import re
 from collections import Counter
@@ -16,7 +16,7 @@ def test_topics_are_on_one_page_each():
 def test_there_are_few_codes_with_stable_names():
     codes = diagnostics.find_codes()
     assert len(codes) > 100
-    # Programs tell codes apart, people read about them: more would serve neither.
+    # Programs distinguish codes and people look them up; a longer list would be too fine for both.
     assert len(codes) < 300
     for one in codes:
         assert re.fullmatch(r"[a-z]+\.[a-z]+(-[a-z]+)*", one.name), one.name
@@ -34,7 +34,7 @@ def test_codes_are_explained(code):
 
 
 def test_each_code_is_used():
-    """A code that nothing emits would be explained in vain."""
+    """An unused code must not be documented."""
     used = set()
     for path in diagnostics._find_sources():
         if path.name != "codes.py":
@@ -42,7 +42,7 @@ def test_each_code_is_used():
     assert sorted(set(diagnostics.find_constants()) - used) == []
 
 
-def test_messages_are_found_by_the_code_beside_them():
+def test_messages_are_found_next_to_their_codes():
     found = list(diagnostics.find_messages())
     assert len(found) > 800
     constants = {one.constant for one in found if one.text == "the folder is empty."}
@@ -53,5 +53,5 @@ def test_messages_are_found_by_the_code_beside_them():
 
 @pytest.mark.parametrize("page", diagnostics.PAGE_TABLE)
 def test_pages_are_current(page):
-    # `PYTHONPATH=.:docs python -m making.diagnostics` writes them.
+    # Regenerate them with `PYTHONPATH=.:docs python -m making.diagnostics`.
     assert (diagnostics.PAGES / f"{page}.md").read_text(encoding="utf-8") == diagnostics.write_page(page)

@@ -1,4 +1,4 @@
-"""Generated modules for type checkers are as the script writes them, and nothing runs them."""
+"""Generated modules for type checkers are up to date and are never imported."""
 
 import ast
 
@@ -7,11 +7,11 @@ from making import keywords
 from scanloom import stages
 
 
-def test_the_module_of_keywords_is_as_the_script_writes_it():
+def test_the_keyword_module_is_up_to_date():
     assert keywords.KEYWORDS.read_text(encoding="utf-8") == keywords.write_keywords()
 
 
-def test_the_names_of_the_package_are_as_the_script_writes_them():
+def test_the_package_names_are_up_to_date():
     assert keywords.PACKAGE.read_text(encoding="utf-8") == keywords.write_package()
 
 

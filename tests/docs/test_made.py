@@ -1,4 +1,4 @@
-"""What pages have from the code: as Markdown, whole, and the same each time."""
+"""Generated blocks of pages: valid Markdown, complete, and the same in each run."""
 
 import re
 from typing import Any
@@ -16,12 +16,12 @@ from scanloom import stages
 from scanloom.pipeline.config import Config
 from scanloom.stages.params import describe_all
 
-# Words and all signs that mean something in Markdown.
+# Words and all characters with a meaning in Markdown.
 TEXTS = st.text(st.sampled_from("ab *_<>[]|#$~{}\\&!1.-"), min_size=1).map(lambda text: f"a{text}z")
 
 
-def shown(markdown: str) -> str:
-    """Return the text that a reader sees, without any tags."""
+def render_text(markdown: str) -> str:
+    """Render Markdown and remove the tags."""
     html = MarkdownIt("commonmark").render(markdown)
     text = re.sub(r"<[^>]*>", "", html).strip()
     for sign, name in (("<", "&lt;"), (">", "&gt;"), ('"', "&quot;"), ("&", "&amp;")):
@@ -31,12 +31,12 @@ def shown(markdown: str) -> str:
 
 @given(TEXTS)
 def test_a_text_is_shown_as_it_is(text: str):
-    assert shown(escape_markdown(text)) == text
+    assert render_text(escape_markdown(text)) == text
 
 
 @given(st.text(st.sampled_from("ab `*_"), min_size=1).map(lambda text: f"a{text}z"))
 def test_code_is_shown_as_it_is(text: str):
-    assert shown(format_code(text)) == text
+    assert render_text(format_code(text)) == text
 
 
 def test_a_definition_has_a_term_a_meaning_and_facts():
@@ -97,7 +97,7 @@ def test_a_docstring_becomes_lists():
 
 
 @pytest.mark.parametrize("section", Config.get_types())
-def test_every_parameter_stands_in_its_section(section: str):
+def test_every_parameter_is_listed_in_its_section(section: str):
     listed = parameters.list_section(section)
     params = getattr(Config(), section)
 
@@ -106,7 +106,7 @@ def test_every_parameter_stands_in_its_section(section: str):
     assert f"## `[{section}]`" in parameters.list_all_sections()
 
 
-def test_a_default_is_that_of_the_section():
+def test_defaults_come_from_the_section():
     assert "default: 200000" in parameters.list_section("compare")
 
 
@@ -130,14 +130,14 @@ def test_every_public_name_is_there():
 
 
 @pytest.mark.parametrize("maker", ["configuration", "commands", "python", "guides"])
-def test_what_is_made_is_the_same_each_time(maker: str):
+def test_generators_are_deterministic(maker: str):
     made: Any = page_blocks.GENERATORS[maker]
 
     assert made() == made()
     assert not re.search(r"0x[0-9a-f]{6,}|<function|/home/|bound method", made())
 
 
-def test_a_block_is_replaced_by_what_it_names():
+def test_a_block_is_replaced_by_its_generated_content():
     text = "before\n\n```{made} parameters cache\nwhat a reader of the page sees\n```\n\nafter\n"
 
     filled = page_blocks.fill_blocks(text)

@@ -1,4 +1,4 @@
-"""The site of docs/ is built without a warning; every link leads somewhere; it opens from a disk."""
+"""The site of docs/ builds without warnings, has no broken links, and works from a local disk."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from browsers import launch_browser, skip_missing_tool
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"
-# What a browser fetches by itself, and what it follows when somebody asks.
+# Attributes whose targets a browser fetches without a click.
 FETCHED = {"img": "src", "script": "src", "link": "href", "iframe": "src", "source": "src"}
 
 pytestmark = pytest.mark.slow
 
 
 class Page(HTMLParser):
-    """The places of a page, and where it leads."""
+    """Anchors of a page, and its links."""
 
     def __init__(self, path: Path) -> None:
         super().__init__()
@@ -70,7 +70,7 @@ def test_every_page_of_docs_is_there(site: Path):
     assert 'url=docs/index.html"' in (site / "index.html").read_text()
 
 
-def test_every_link_leads_somewhere(pages: dict[Path, Page]):
+def test_no_link_is_broken(pages: dict[Path, Page]):
     wrong = []
     for path, page in pages.items():
         for link in (*page.links, *page.fetched):
@@ -89,7 +89,7 @@ def test_every_link_leads_somewhere(pages: dict[Path, Page]):
     assert wrong == []
 
 
-def test_nothing_is_fetched_from_elsewhere(pages: dict[Path, Page], site: Path):
+def test_pages_load_no_external_resources(pages: dict[Path, Page], site: Path):
     for page in pages.values():
         assert not [link for link in page.fetched if urlsplit(link).netloc]
     for sheet in site.rglob("*.css"):
@@ -100,7 +100,7 @@ def test_nothing_is_fetched_from_elsewhere(pages: dict[Path, Page], site: Path):
 def test_pictures_are_small():
     pictures = [path for path in DOCS.rglob("*") if path.suffix in (".png", ".jpg")]
     assert len(pictures) > 4
-    # Pictures of three or four parts.
+    # Composite pictures of three or four parts.
     larger = {"deform.png": 150_000, "scan-to-mesh.jpg": 250_000}
     assert all(path.stat().st_size < larger.get(path.name, 100_000) for path in pictures)
 
@@ -138,7 +138,7 @@ def opened(site: Path) -> Iterator[Any]:
         ),
     ],
 )
-def test_a_message_that_is_pasted_is_found(opened: Any, message: str, explained: str):
+def test_a_pasted_message_is_found(opened: Any, message: str, explained: str):
     opened.fill("#pasted-message", message)
 
     first = opened.locator("#found-messages a").first
@@ -148,7 +148,7 @@ def test_a_message_that_is_pasted_is_found(opened: Any, message: str, explained:
     assert anchor in Page(Path(unquote(urlsplit(address).path))).ids
 
 
-def test_what_is_like_no_message_finds_nothing(opened: Any):
+def test_an_unknown_message_finds_nothing(opened: Any):
     opened.fill("#pasted-message", "hello world")
 
     assert opened.locator("#found-messages a").count() == 0

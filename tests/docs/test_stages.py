@@ -1,4 +1,4 @@
-"""Each stage has its page, which names what the stage has: metrics, files, parameters."""
+"""Each stage has a page that lists its metrics, files and parameters."""
 
 import re
 from pathlib import Path
@@ -14,7 +14,7 @@ SOURCES = "\n".join(
 )
 
 
-def test_every_stage_has_a_page_that_the_overview_leads_to():
+def test_every_stage_has_a_page_linked_from_the_overview():
     overview = (ROOT / "docs" / "stages.md").read_text()
     names = {stage.name for stage in STAGES}
 
@@ -23,7 +23,7 @@ def test_every_stage_has_a_page_that_the_overview_leads_to():
 
 
 @pytest.mark.parametrize("stage", STAGES, ids=lambda stage: stage.name)
-def test_a_page_has_what_the_stage_has(stage):
+def test_a_page_lists_metrics_files_and_parameters_of_its_stage(stage):
     text = (PAGES / f"{stage.name}.md").read_text()
 
     assert set(stage.sections) == set(re.findall(r"^```\{made\} parameters (\w+)$", text, flags=re.MULTILINE))

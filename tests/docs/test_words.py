@@ -1,4 +1,4 @@
-"""What pages tell to type can be typed, and the tutorial and recipes run as they stand there."""
+"""Command lines of pages can be parsed, and the tutorial and the recipes run as written."""
 
 from __future__ import annotations
 
@@ -24,17 +24,17 @@ DOCS = ROOT / "docs"
 PAGES = ("README.md", *(path.relative_to(ROOT).as_posix() for path in sorted(DOCS.rglob("*.md"))))
 
 
-def lines_of(page: str) -> list[str]:
-    """Return the command lines of a page: in blocks without a language, without what is said behind them."""
+def list_command_lines(page: str) -> list[str]:
+    """List the command lines of a page: in code blocks without a language, without trailing comments."""
     text = (ROOT / page).read_text(encoding="utf-8")
     blocks = re.findall(r"^ *```([^\n]*)\n(.*?)^ *```$", text, flags=re.MULTILINE | re.DOTALL)
     lines = [line.strip() for language, block in blocks if not language for line in block.splitlines()]
     return [re.sub(r"\s+#.*", "", line) for line in lines if line.startswith("scanloom ")]
 
 
-@pytest.mark.parametrize("page", [page for page in PAGES if lines_of(page)])
-def test_every_command_line_of_a_page_is_understood(page: str):
-    for line in lines_of(page):
+@pytest.mark.parametrize("page", [page for page in PAGES if list_command_lines(page)])
+def test_every_command_line_of_a_page_can_be_parsed(page: str):
+    for line in list_command_lines(page):
         _, *words = shlex.split(line)
         command = get_command(app())
         names = []
@@ -48,14 +48,14 @@ def test_every_command_line_of_a_page_is_understood(page: str):
         list(read_assignments(context.params.get("set_words") or (), sections))
 
 
-def run_all(lines: list[str]) -> None:
+def run_lines(lines: list[str]) -> None:
     for line in lines:
         assert run_command(shlex.split(line)[1:]) == 0, line
 
 
 @pytest.fixture
 def small_sample(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Stand where the pages stand, with little of the sample."""
+    """Change to a folder laid out like the pages assume, with the small sample."""
     write_small_sample(tmp_path / "samples" / "rgbd")
     shutil.copy(ROOT / "samples" / "truth.ply", tmp_path / "samples")
     monkeypatch.chdir(tmp_path)
@@ -64,11 +64,11 @@ def small_sample(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 @pytest.mark.slow
 def test_the_tutorial_runs(small_sample: Path, capsys: pytest.CaptureFixture[str]):
-    lines = [line for line in lines_of("docs/tutorial.md") if "MY_SCAN" not in line]
+    lines = [line for line in list_command_lines("docs/tutorial.md") if "MY_SCAN" not in line]
 
-    # What the second run measures and draws is enough.
+    # The report of the second run is sufficient.
     without = "--set report.enabled=false"
-    run_all([f"{line} {without}" if line.endswith("-o my_mesh") else line for line in lines[:-1]])
+    run_lines([f"{line} {without}" if line.endswith("-o my_mesh") else line for line in lines[:-1]])
 
     assert len(lines) == 7
     assert "params changed: max_shape not set → 0.003" in capsys.readouterr().err
@@ -90,15 +90,15 @@ def test_two_scans_are_compared(
     monkeypatch.chdir(tmp_path)
     mesh = read_mesh(ROOT / "samples" / "truth.ply")
     write_mesh(tmp_path / "before.ply", mesh)
-    # The globe goes, and what is left is moved by a millimetre.
+    # Remove the globe and shift the rest by a millimetre.
     middles = mesh.vertices[mesh.triangles].mean(axis=1)
     stays = np.linalg.norm(middles - (0.17, -0.12, 0.095), axis=1) > 0.1
     moved = mesh.with_(vertices=mesh.vertices + np.array((0.001, 0, 0)), triangles=mesh.triangles[stays])
     write_mesh(tmp_path / "after.ply", moved)
-    lines = lines_of("docs/recipes/compare.md")
+    lines = list_command_lines("docs/recipes/compare.md")
 
-    # This one does what the others do, and more, but for a picture.
-    run_all([f"{lines[2]} --picture off.png"])
+    # The third command includes the others, except for a picture.
+    run_lines([f"{lines[2]} --picture off.png"])
 
     assert len(lines) == 4
     told = capsys.readouterr().out
@@ -108,13 +108,13 @@ def test_two_scans_are_compared(
         assert (tmp_path / name).stat().st_size > 10_000
 
 
-def test_a_textured_model_gets_lighter(
+def test_a_textured_model_is_simplified(
     shared_data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ):
     monkeypatch.chdir(tmp_path)
     shutil.copy(shared_data / "meshes" / "Duck.glb", tmp_path / "model.glb")
 
-    run_all([line for line in lines_of("docs/recipes/lighter.md") if "compare" not in line])
+    run_lines([line for line in list_command_lines("docs/recipes/lighter.md") if "compare" not in line])
 
     assert "Proven: no point is more than 0.005 m off." in capsys.readouterr().out
     assert len(read_mesh(tmp_path / "lighter.glb").triangles) <= 1000
@@ -128,7 +128,7 @@ def test_a_textured_model_gets_lighter(
         ("kitti.md", "stereo/kitti_sequence_1", "street"),
     ],
 )
-def test_scans_of_recipes_go_the_way_they_say(
+def test_scans_of_recipes_are_processed_as_described(
     shared_data: Path,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
@@ -139,12 +139,12 @@ def test_scans_of_recipes_go_the_way_they_say(
 ):
     monkeypatch.chdir(tmp_path)
     (tmp_path / named).symlink_to(shared_data / folder)
-    lines = lines_of(f"docs/recipes/{page}")
+    lines = list_command_lines(f"docs/recipes/{page}")
     text = (DOCS / "recipes" / page).read_text()
 
-    # Half a minute to a minute of work each; what they would do is told at once.
-    run_all([f"{line} --dry-run" for line in lines if line.startswith("scanloom run")])
-    run_all([line for line in lines if line.startswith("scanloom inspect")][:1])
+    # A full run takes 30 to 60 s; a dry run already reports the method.
+    run_lines([f"{line} --dry-run" for line in lines if line.startswith("scanloom run")])
+    run_lines([line for line in lines if line.startswith("scanloom inspect")][:1])
 
     told = capsys.readouterr()
     (shown,) = re.findall(r"```text\n(.*?)```", text, flags=re.DOTALL)

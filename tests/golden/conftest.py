@@ -11,5 +11,5 @@ def pytest_addoption(parser):
 
 @pytest.fixture
 def update_golden(request) -> bool:
-    # Only known when this folder is named on the command line.
+    # The option only exists if pytest's command line names this folder.
     return bool(request.config.getoption("--update-golden", default=False))

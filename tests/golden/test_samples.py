@@ -1,9 +1,10 @@
-"""The whole pipeline on both sample scans, against golden files.
+"""The whole pipeline on both sample scans, compared with golden files.
 
-Of an accepted run, `rgbd.json` holds the figures and `rgbd.ply` points of the textured mesh. After a change
-that is meant, look at its pictures, and update them:
+`rgbd.json` and `stereo.json` hold the metrics of an accepted run; the PLY files hold points of its textured
+mesh. After an intended change, inspect the pictures of the run, then update the files:
 
-    pytest tests/golden --update-golden
+pytest tests/golden --update-golden
+
 """
 
 import json
@@ -31,9 +32,9 @@ GOLDEN = Path(__file__).resolve().parent
 POINTS = 3000
 COMPARED = CompareParams(samples=100_000)
 
-# How far a figure may be from the golden one: relative, absolute. Wide enough for another version of OpenCV
-# or Open3D, whose matcher or surface extraction rounds differently; test_damage_is_told_from_the_golden_mesh
-# shows that real damage is far outside.
+# Tolerances of metrics: relative, absolute. They allow for other versions of OpenCV or Open3D, whose matcher
+# or surface extraction rounds differently. test_damage_is_outside_the_tolerances shows that they detect real
+# damage.
 TOLERANCES = {
     "frames_used": (0, 0),
     "voxel_size_m": (0.02, 0),
@@ -60,10 +61,11 @@ TOLERANCES = {
     "fused_color_rmse_levels": (0.04, 0.1),
     "proven_shape_m": (0.05, 0),
 }
-# Of nine golden points in ten, the distance to the new mesh in metres, and the colour difference in levels.
+# Limits of the 90th percentile over golden points: distance to the new mesh in metres, colour difference in
+# levels.
 POINTS_DISTANCE, POINTS_COLOR = 0.0006, 4.0
 
-# What any version has to reach, whatever the golden files say.
+# Limits for every version, independent of the golden files.
 LIMITS = {
     "rgbd": {"truth_distance_rms_m": 0.0013, "truth_color_rmse_levels": 15.0},
     "stereo": {"truth_distance_rms_m": 0.0025, "truth_color_rmse_levels": 15.0},
@@ -80,14 +82,16 @@ def test_a_sample_scan_gives_the_golden_meshes(sample, truth, tmp_path, update_g
     config = Config(compare=COMPARED, report=ReportParams(viewpoints=2, width=160, page=False))
     report = json.loads(json.dumps(run(SAMPLES / sample, tmp_path, config).report))
     final = read_ply(tmp_path / "simplified.ply")
-    metrics = {name: mesh_metrics(read_ply(tmp_path / f"{name}.ply"), truth) for name in ("fused", "clean")}
-    metrics["simplified"] = mesh_metrics(final, truth)
-    # The texture has the colours: those of the simplified vertices are far apart.
+    metrics = {
+        name: compute_mesh_metrics(read_ply(tmp_path / f"{name}.ply"), truth) for name in ("fused", "clean")
+    }
+    metrics["simplified"] = compute_mesh_metrics(final, truth)
+    # Evaluate colours of the texture: the simplified vertices are too far apart.
     textured = read_mesh(tmp_path / "textured.glb")
     compared = compare(truth, textured, COMPARED)
     assert compared.color_b_to_a is not None
     metrics["textured"] = {"truth_color_rmse_levels": compared.color_b_to_a.rmse}
-    metrics["report"] = report_metrics(report)
+    metrics["report"] = extract_report_metrics(report)
 
     for name, limit in LIMITS[sample].items():
         part = "textured" if name in metrics["textured"] else "simplified"
@@ -106,20 +110,23 @@ def test_a_sample_scan_gives_the_golden_meshes(sample, truth, tmp_path, update_g
         write_ply_cloud(GOLDEN / f"{sample}.ply", points, np.rint(colors).astype(np.uint8))
 
     golden = json.loads((GOLDEN / f"{sample}.json").read_text())
-    assert deviations(metrics, golden) == []
-    distance, color = from_points(read_ply(GOLDEN / f"{sample}.ply"), textured)
+    assert find_deviations(metrics, golden) == []
+    distance, color = measure_from_points(read_ply(GOLDEN / f"{sample}.ply"), textured)
     assert distance < POINTS_DISTANCE
     assert color < POINTS_COLOR
     assert report["mesh"]["vertices"] == len(final.vertices)
     assert report["mesh"]["manifold"] is True
-    # Four meshes from two viewpoints, the triangles, which photo counts most where, and filled holes.
+    # Four meshes from two viewpoints, plus wireframe, dominant photos, and filled holes.
     assert len(report["pictures"]) == 2 * 4 + 3
     for picture in report["pictures"]:
         assert next(tmp_path.rglob(Path(picture).name)).stat().st_size > 1000
 
 
-def mesh_metrics(mesh: Mesh, truth: Mesh) -> dict:
-    """What is known of one mesh. Distances to the truth go from the mesh; coverage goes to it."""
+def compute_mesh_metrics(mesh: Mesh, truth: Mesh) -> dict:
+    """Compute the metrics of a mesh.
+
+    Distances are measured from the mesh to the truth, coverage from the truth to the mesh.
+    """
     found, measured = topology(mesh), compare(truth, mesh, COMPARED)
     corners = mesh.vertices[mesh.triangles] - compute_bounding_box(truth).mean(axis=0)
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -128,7 +135,7 @@ def mesh_metrics(mesh: Mesh, truth: Mesh) -> dict:
         "vertices": len(mesh.vertices),
         "triangles": len(mesh.triangles),
         "area_m2": float(np.linalg.norm(cross, axis=1).sum() / 2),
-        # Of the cones from the middle of the scene: its sign is the surface's orientation.
+        # Sum of signed cones from the centre of the scene; its sign shows the orientation of the surface.
         "volume_m3": float(np.einsum("kx,kx->", cross, corners[:, 0]) / 6),
         **{f"extent_{axis}_m": float(extent[i]) for i, axis in enumerate("xyz")},
         "euler": found.euler,
@@ -143,8 +150,8 @@ def mesh_metrics(mesh: Mesh, truth: Mesh) -> dict:
     }
 
 
-def report_metrics(report: dict) -> dict:
-    """What report.json says of the stages, and of the final mesh against the fused one."""
+def extract_report_metrics(report: dict) -> dict:
+    """Extract metrics of the stages, and of the final mesh against the fused mesh, from report.json."""
     fuse, simplify = report["stages"]["fuse"]["metrics"], report["stages"]["simplify"]["metrics"]
     final = report["mesh"]
     distance = final["to_fused"]["distance"]["b_to_a"]
@@ -160,8 +167,8 @@ def report_metrics(report: dict) -> dict:
     }
 
 
-def deviations(metrics: dict, golden: dict) -> list[str]:
-    """Every figure outside its tolerance, in words."""
+def find_deviations(metrics: dict, golden: dict) -> list[str]:
+    """Describe every metric outside its tolerance."""
     assert {k: set(v) for k, v in metrics.items()} == {k: set(v) for k, v in golden.items()}
     found = []
     for part, values in golden.items():
@@ -172,10 +179,10 @@ def deviations(metrics: dict, golden: dict) -> list[str]:
     return found
 
 
-def from_points(points: Mesh, mesh: Mesh) -> tuple[float, float]:
-    """Distance and colour difference from golden points to the mesh, reached or undercut by nine in ten.
+def measure_from_points(points: Mesh, mesh: Mesh) -> tuple[float, float]:
+    """Compute 90th percentiles of distance and colour difference from golden points to a mesh.
 
-    The rest may lie where a frayed border has moved.
+    The other 10 % of the points may be at a ragged border that has moved.
     """
     nearest = RaycastingSurface(mesh).find_closest_points(points.vertices)
     colors = compute_surface_colors(mesh, nearest.triangles, nearest.weights)
@@ -183,23 +190,23 @@ def from_points(points: Mesh, mesh: Mesh) -> tuple[float, float]:
     return float(np.quantile(nearest.distances, 0.9)), float(np.quantile(colors, 0.9))
 
 
-def _recolored(change):
+def _change_colors(change):
     return lambda mesh: mesh.with_(colors=change(mesh.colors.astype(float)).clip(0, 255).astype(np.uint8))
 
 
-def _moved(change):
+def _change_vertices(change):
     return lambda mesh: mesh.with_(vertices=change(mesh.vertices))
 
 
 DAMAGE = {
-    "scaled by 1 %": _moved(lambda v: v * 1.01),
-    "shifted by 3 mm": _moved(lambda v: v + 0.0017),
-    "noise of 1 mm": _moved(lambda v: v + np.random.default_rng(0).normal(0, 0.001, v.shape)),
-    "mirrored": _moved(lambda v: v * (-1, 1, 1)),
+    "scaled by 1 %": _change_vertices(lambda v: v * 1.01),
+    "shifted by 3 mm": _change_vertices(lambda v: v + 0.0017),
+    "noise of 1 mm": _change_vertices(lambda v: v + np.random.default_rng(0).normal(0, 0.001, v.shape)),
+    "mirrored": _change_vertices(lambda v: v * (-1, 1, 1)),
     "inside out": lambda mesh: mesh.with_(triangles=mesh.triangles[:, ::-1]),
-    "red and blue swapped": _recolored(lambda c: c[:, ::-1]),
-    "darker by 10 %": _recolored(lambda c: c * 0.9),
-    "grey": _recolored(lambda c: np.repeat(c.mean(axis=1, keepdims=True), 3, axis=1)),
+    "red and blue swapped": _change_colors(lambda c: c[:, ::-1]),
+    "darker by 10 %": _change_colors(lambda c: c * 0.9),
+    "grey": _change_colors(lambda c: np.repeat(c.mean(axis=1, keepdims=True), 3, axis=1)),
     "2 % of the triangles lost": lambda mesh: mesh.with_(
         triangles=mesh.triangles[np.random.default_rng(0).random(len(mesh.triangles)) > 0.02]
     ),
@@ -211,7 +218,7 @@ DAMAGE = {
 
 @pytest.fixture(scope="module")
 def scanned(truth) -> Mesh:
-    """The true mesh with the errors of a good scan, so that tolerances relative to them make sense."""
+    """Add errors of a good scan to the true mesh, so that relative tolerances are realistic."""
     rng = np.random.default_rng(1)
     noisy = truth.colors + rng.normal(0, 12, truth.colors.shape)
     return truth.with_(
@@ -222,9 +229,12 @@ def scanned(truth) -> Mesh:
 
 @pytest.fixture(scope="module")
 def of_scanned(truth, scanned) -> dict:
-    return {"simplified": mesh_metrics(scanned, truth)}
+    return {"simplified": compute_mesh_metrics(scanned, truth)}
 
 
 @pytest.mark.parametrize("damage", DAMAGE)
-def test_damage_is_told_from_the_golden_mesh(damage, truth, scanned, of_scanned):
-    assert deviations({"simplified": mesh_metrics(DAMAGE[damage](scanned), truth)}, of_scanned) != []
+def test_damage_is_outside_the_tolerances(damage, truth, scanned, of_scanned):
+    assert (
+        find_deviations({"simplified": compute_mesh_metrics(DAMAGE[damage](scanned), truth)}, of_scanned)
+        != []
+    )

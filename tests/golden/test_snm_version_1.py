@@ -1,4 +1,4 @@
-"""Files as version 1 of the format has them: whatever makes files later, these read as they do today."""
+"""Files in version 1 of the format decode to the same levels in all later versions."""
 
 from __future__ import annotations
 
@@ -31,8 +31,8 @@ BUTTERFLY_READS = "227c63b417c5fdbdce2110800fbac751e5b83f4be90f751cd4f135883cf66
 
 
 @pytest.mark.parametrize(("file", "reads"), [(LINEAR, LINEAR_READS), (BUTTERFLY, BUTTERFLY_READS)])
-def test_a_file_of_version_1_reads_as_it_did(file: str, reads: str) -> None:
-    """A sheet with holes, boundaries, colours, and exceptions: every bit of every level."""
+def test_a_version_1_file_decodes_as_before(file: str, reads: str) -> None:
+    """Compare every bit of every level of a sheet with holes, boundaries, colours and exceptions."""
     found = decode(base64.b64decode(file))
     digest = hashlib.sha256()
     for level in found.levels:

@@ -1,4 +1,4 @@
-"""Files of version 2, which say what is up, as the format has them: whatever makes files, they read so."""
+"""Files in version 2 of the format, which store the up direction, decode the same in all later versions."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ READS = "56a41aadef538587981514493de04c2d1d488587b89f8d1a7ef6592587946f99"
 
 
 @pytest.mark.parametrize(("file", "up"), [(ALONG, (0.0, -1.0, 0.0)), (ASLANT, (0.6, 0.0, -0.8))])
-def test_a_file_of_version_2_reads_as_it_did(file: str, up: tuple[float, float, float]) -> None:
-    """The same sheet with colours, in a file that says an axis, and in one that says a direction."""
+def test_a_version_2_file_decodes_as_before(file: str, up: tuple[float, float, float]) -> None:
+    """Compare the coloured sheet in files with the up direction as an axis and as a vector."""
     found = decode(base64.b64decode(file))
     digest = hashlib.sha256()
     for level in found.levels:

@@ -15,7 +15,7 @@ from typing import Any
 import pytest
 
 PAGE = Path(__file__).resolve().parents[2] / "pipeline" / "report" / "page"
-# Software draws, the same everywhere; and nothing is asked of anybody.
+# Software rendering gives the same pixels on every machine. The other flags prevent network access.
 _CHROMIUM_FLAGS = (
     *("--no-sandbox", "--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--disable-quic"),
     *("--no-first-run", "--disable-background-networking", "--disable-component-update", "--disable-sync"),
@@ -23,7 +23,7 @@ _CHROMIUM_FLAGS = (
 
 
 def skip_missing_tool(what: str) -> None:
-    """Skip a test that has no tool; where a change is decided on, fail it."""
+    """Skip a test whose tool is missing; fail it on CI."""
     if os.environ.get("CI"):
         pytest.fail(what)
     pytest.skip(what)
@@ -31,8 +31,8 @@ def skip_missing_tool(what: str) -> None:
 
 @contextmanager
 def launch_browser() -> Iterator[Any]:
-    """Start Chromium, as playwright has it."""
-    # Without the parts that draw windows it takes half the time.
+    """Start headless Chromium through playwright."""
+    # The headless shell starts in half the time of the full browser.
     program = shutil.which("chromium-headless-shell") or shutil.which("chromium")
     if program is None:
         skip_missing_tool("Chromium is missing; on Debian: apt-get install chromium-headless-shell")
@@ -48,7 +48,7 @@ def launch_browser() -> Iterator[Any]:
 
 @contextmanager
 def run_server(server: Any) -> Iterator[Any]:
-    """Let a server answer while the block runs."""
+    """Run a server in a thread while the block runs."""
     thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.02})
     thread.start()
     try:
@@ -60,7 +60,7 @@ def run_server(server: Any) -> Iterator[Any]:
 
 
 def run_node(script: Path, *words: Path | str) -> Any:
-    """Return what a script prints as JSON; it finds the packages that `make packages` installs."""
+    """Run a Node script with the packages of `make packages`, and parse its output as JSON."""
     program = shutil.which("node")
     if program is None or not (PAGE / "node_modules").is_dir():
         skip_missing_tool("Node or its packages are missing: make packages")

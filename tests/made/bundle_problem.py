@@ -21,7 +21,7 @@ DEPTH_LENS = np.array([290.0, 290.0, 159.5, 119.5])
 
 @dataclass(frozen=True)
 class BundleProblem:
-    """Views with their depth maps, the true cameras and points, and where these are seen."""
+    """Views with depth maps, true cameras and points, and the observations of the points."""
 
     views: list[AdjustmentView]
     cameras: Cameras
@@ -32,7 +32,11 @@ class BundleProblem:
 def make_bundle_problem(
     seed: int = 3, views: int = 6, points: int = 300, degrees: float = 0.0
 ) -> BundleProblem:
-    """Make it; depth is exact, pixels are off by 0.2, cameras turn by so many degrees while rows are read."""
+    """Make a bundle adjustment problem.
+
+    Depth is exact. Pixels have errors of 0.2. Each camera turns by about `degrees` during the readout of its
+    rows.
+    """
     rng = np.random.default_rng(seed)
     steps = np.zeros((views, 6))
     steps[:, 0] = np.linspace(-0.35, 0.35, views)

@@ -14,15 +14,15 @@ from scanloom.stages.surface.mesh import Mesh
 
 
 def split_into_chunks(path: Path, mesh: Mesh, chunk_ids: np.ndarray) -> ChunkedMesh:
-    """Write a mesh, and return it in pieces.
+    """Write a mesh as a chunked PLY file and open it.
 
     Parameters
     ----------
-    chunk_ids : (m,) to which piece each triangle goes.
+    chunk_ids : (m,) chunk of each triangle.
     """
     order = np.argsort(chunk_ids, kind="stable")
     triangles, chunk_ids = mesh.triangles[order], chunk_ids[order]
-    # A vertex is of the first piece that names it.
+    # A vertex belongs to the first chunk that uses it.
     used, first, place = np.unique(triangles, return_index=True, return_inverse=True)
     rank = np.empty(len(used), np.int64)
     rank[np.argsort(first, kind="stable")] = np.arange(len(used))

@@ -22,7 +22,7 @@ _SAMPLE = Path(__file__).resolve().parents[2] / "samples" / "rgbd"
 
 @contextmanager
 def use_small_chunks(max_in_memory: int = 3_000) -> Iterator[None]:
-    """Make meshes of more than `max_in_memory` triangles large, with chunks of about 0.3 m."""
+    """Treat meshes of more than `max_in_memory` triangles as large, with chunks of about 0.3 m."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(chunked_ply, "MAX_IN_MEMORY_TRIANGLES", max_in_memory)
         patch.setattr(fused_mesh_files, "CHUNK_SIZE_M", 0.3)
@@ -31,7 +31,7 @@ def use_small_chunks(max_in_memory: int = 3_000) -> Iterator[None]:
 
 
 def fuse_chunked_sample(path: Path) -> Path:
-    """Fuse every fourth frame of the sample, and return the path of the mesh."""
+    """Fuse every fourth frame of the sample into a chunked mesh file."""
     scan = read_scan(_SAMPLE)
     with use_small_chunks():
         fuse_to_file(replace(scan, frames=scan.frames[::4]), FuseParams(voxel_size=0.015), path)
@@ -39,7 +39,7 @@ def fuse_chunked_sample(path: Path) -> Path:
 
 
 def write_partial_sample(folder: Path, numbers: list[int]) -> Path:
-    """Write some frames of the sample as a scan of their own."""
+    """Write selected frames of the sample as a separate scan."""
     scan = read_scan(_SAMPLE)
     shutil.copytree(_SAMPLE, folder)
     frames = read_scan(folder).frames

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-# Run in the folder: prints where scanloom is, and what its own modules hold.
+# The script prints the folder of scanloom and the content of its own modules.
 CODE = "script.py"
 _SCRIPT = """
 import cli, pipeline.steps, stages
@@ -21,7 +21,7 @@ scanloom.write_mesh("mesh.ply", mesh)
 
 
 def write_clashing_project(folder: Path) -> Path:
-    """Write the project, and return its folder."""
+    """Write the project into a folder."""
     (folder / "pipeline").mkdir(parents=True)
     for name in ("stages.py", "cli.py", "pipeline/__init__.py", "pipeline/steps.py"):
         (folder / name).write_text(f"OWN = {Path(name).stem!r}\n")

@@ -18,7 +18,10 @@ def make_cloud(points: Any, colors: Any = None, normals: Any = None) -> Mesh:
 
 
 def write_cloud(path: Path, given: Mesh, offset: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> Path:
-    """Write a cloud as PLY, LAS, LAZ or E57, by the extension; coordinates to a tenth of a millimetre."""
+    """Write a cloud as PLY, LAS, LAZ or E57, chosen by the extension.
+
+    LAS and LAZ round coordinates to 0.1 mm.
+    """
     if path.suffix == ".ply":
         write_ply(path, given)
     elif path.suffix == ".e57":
@@ -46,7 +49,7 @@ def make_las(given: Mesh, offset: tuple[float, float, float] = (0.0, 0.0, 0.0), 
 
 
 def _write_e57(path: Path, given: Mesh, offset: tuple[float, float, float]) -> None:
-    """Write a cloud as one scan that is turned by 90° around z, at an offset."""
+    """Write a cloud as one E57 scan with a pose: rotated by 90° around z, then shifted."""
     import pye57
 
     x, y, z = (given.vertices - offset).T

@@ -15,7 +15,7 @@ from scanloom.stages.surface.mesh import Mesh
 
 
 def ring() -> Mesh:
-    # Half a second, which most of those that import this do without.
+    # Importing trimesh takes half a second, and most importers of this module do not need it.
     import trimesh
 
     made = trimesh.creation.torus(1.0, 0.4, major_sections=32, minor_sections=16)
@@ -33,7 +33,7 @@ def make_cut_sheet() -> Mesh:
 
 @functools.cache
 def make_record(kind: str) -> CollapseRecord:
-    """Return a record of one of `KINDS`."""
+    """Simplify a mesh to get a record of one of `KINDS`."""
     mesh = ring()
     normals = mesh.vertices / np.linalg.norm(mesh.vertices, axis=1)[:, None]
     match kind:
@@ -53,12 +53,12 @@ KINDS = ["vertices", "no colours", "split", "wedges"]
 
 
 def save_record(kind: str, folder: Path) -> Path:
-    """Return the file of such a record."""
+    """Save a record of one of `KINDS` to a file."""
     make_record(kind).save(folder / "light.npz")
     return folder / "light.npz"
 
 
 def load_arrays(path: Path) -> dict[str, Any]:
-    """Return what a file holds, by name."""
+    """Load all arrays of an NPZ file by name."""
     with np.load(path) as content:
         return dict(content)

@@ -1,6 +1,6 @@
 """Coloured meshes of several topologies, and a check that topology is unchanged.
 
-trimesh is imported inside functions, because its import takes half a second and many test processes need just
+trimesh is imported inside functions, because its import takes half a second and many test processes only need
 a sheet.
 """
 
@@ -15,7 +15,10 @@ from scanloom.stages.surface.topology import topology
 
 
 def sheet(n: int = 40, noise: float = 0.001, height: float = 0.1) -> Mesh:
-    """Hills over the unit square, 2 n² triangles; red and green run along x and y, blue comes in stripes."""
+    """Make a hilly unit square of 2 n² triangles.
+
+    Red and green increase along x and y; blue has stripes.
+    """
     y, x = np.mgrid[0 : n + 1, 0 : n + 1] / n
     z = height * np.sin(7 * x) * np.cos(5 * y) + np.random.default_rng(0).normal(0, noise, x.shape)
     vertices = np.stack([x, y, z], -1).reshape(-1, 3)

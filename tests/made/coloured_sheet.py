@@ -12,7 +12,7 @@ UP = (0.0, -1.0, 0.0)
 
 
 def sheet(side: int = 12) -> Mesh:
-    """Return a bumpy coloured sheet around (1, 2, 3), in single precision."""
+    """Make a bumpy coloured sheet at (1, 2, 3), with coordinates in single precision."""
     rng = np.random.default_rng(5)
     x, y = (a.ravel() for a in np.meshgrid(np.linspace(0, 1, side), np.linspace(0, 1, side)))
     vertices = np.stack([x, y, 0.05 * rng.random(len(x))], axis=1) + np.array((1, 2, 3))
@@ -24,7 +24,7 @@ def sheet(side: int = 12) -> Mesh:
 
 
 def textured_sheet(side: int = 12, kind: str = "png") -> Mesh:
-    """Return a sheet with an image of noise of 64 × 48 pixels, in two materials of one image."""
+    """Make a sheet of two materials that share one noise image of 64 × 48 pixels."""
     mesh = sheet(side)
     uvs = mesh.vertices[mesh.triangles][:, :, :2] - (1, 2)
     pixels = np.random.default_rng(3).integers(0, 256, (48, 64, 3)).astype(np.uint8)
@@ -37,13 +37,13 @@ def textured_sheet(side: int = 12, kind: str = "png") -> Mesh:
 
 
 def ball() -> Mesh:
-    """Return a ball of 5 cm around (1, 1, 1)."""
+    """Make a sphere of radius 5 cm at (1, 1, 1)."""
     made = trimesh.creation.icosphere(subdivisions=2, radius=0.05)
     return Mesh(np.array(made.vertices) + 1, np.array(made.faces, np.int32), up=UP)
 
 
 def make_bumpy_body(seed: int = 1) -> Mesh:
-    """Return a closed body that no turn or move maps onto itself."""
+    """Make a closed body without rotational or mirror symmetry."""
     made = trimesh.creation.icosphere(subdivisions=4, radius=1.0)
     rng = np.random.default_rng(seed)
     vertices = np.array(made.vertices)

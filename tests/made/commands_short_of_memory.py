@@ -21,16 +21,19 @@ from scanloom.cli.app import run_command
 from scanloom.stages._open3d import import_without_threads
 from tests.made.short_of_memory import limit_memory
 
-# With less than the 16 MiB that every command asks for before it reads its words, all end as with none.
+# Every command first checks for 16 MiB, so all smaller limits end like 10 MB.
 _MEGABYTES = (10, 20, 40, 60, 80, 100, 120, 150, 200, 400)
-# Commands that take longer than all others meet every other limit; which ones differs between them.
+# Commands that take longer than all others run with every other limit; each of them skips different limits.
 _SLOW_COMMANDS = ("bake", "compare", "depth", "fuse", "inspect", "register", "render", "run")
-# Large enough for all threads to be at it.
+# Large enough to occupy all threads.
 _WARM_UP_MATRIX = np.eye(400)
 
 
 def run_limited_command(words: list[str], spare: int) -> tuple[int, str]:
-    """Return exit code (negative: the signal that ended it) and output of a command."""
+    """Run a command in a child process with limited memory.
+
+    Returns the exit code (negative: the signal that ended the command) and the output.
+    """
     reading, writing = os.pipe()
     child = os.fork()
     if child == 0:
@@ -38,7 +41,8 @@ def run_limited_command(words: list[str], spare: int) -> tuple[int, str]:
         os.dup2(writing, 2)
         code = 99
         try:
-            # OpenBLAS begins its threads again after a fork; a command has them from its imports.
+            # OpenBLAS restarts its threads after a fork. An ordinary process already has them from its
+            # imports.
             np.dot(_WARM_UP_MATRIX, _WARM_UP_MATRIX)
             limit_memory(spare)
             code = run_command(words)
@@ -54,14 +58,14 @@ def run_limited_command(words: list[str], spare: int) -> tuple[int, str]:
 
 
 def main() -> None:
-    # The libraries that commands import where they use them.
+    # Libraries that commands import inside functions.
     import cv2  # noqa: F401
     import scipy.sparse
     import scipy.spatial  # noqa: F401
     import trimesh  # noqa: F401
 
     import_without_threads()
-    # And what the words of any command bring.
+    # Load the modules that parsing any command line imports.
     with redirect_stdout(io.StringIO()):
         run_command(["--version"])
         run_command(["clean", "--help"])

@@ -14,7 +14,7 @@ CAMERA = Camera(96, 72, 80.0, 80.0, 47.5, 35.5)
 
 
 def plate(corner: Sequence[float], u: Sequence[float], v: Sequence[float], spacing: float = 0.01) -> Mesh:
-    """Return a rectangle spanned by u and v, seen from the side of u × v, of triangles of that size."""
+    """Make a rectangle spanned by u and v, with triangles of edge length `spacing` that face u × v."""
     start, first, second = (np.array(values, np.float64) for values in (corner, u, v))
     i, j = (round(float(np.linalg.norm(side)) / spacing) + 1 for side in (first, second))
     s, t = (a.reshape(-1, 1) for a in np.meshgrid(np.linspace(0, 1, i), np.linspace(0, 1, j), indexing="ij"))
@@ -25,7 +25,7 @@ def plate(corner: Sequence[float], u: Sequence[float], v: Sequence[float], spaci
 
 
 def join_meshes(meshes: Iterable[Mesh]) -> Mesh:
-    """Return meshes as one, whose pieces share no vertices."""
+    """Concatenate meshes without merging vertices."""
     vertices, triangles, count = [], [], 0
     for mesh in meshes:
         vertices.append(mesh.vertices)
@@ -35,14 +35,14 @@ def join_meshes(meshes: Iterable[Mesh]) -> Mesh:
 
 
 def remove_triangles(mesh: Mesh, is_removed: Callable[[np.ndarray], np.ndarray]) -> Mesh:
-    """Return a mesh without the triangles whose middles (m, 3) are gone."""
+    """Remove the triangles whose centres (m, 3) satisfy a predicate."""
     left = ~is_removed(mesh.vertices[mesh.triangles].mean(axis=1))
     used, triangles = np.unique(mesh.triangles[left], return_inverse=True)
     return Mesh(mesh.vertices[used], triangles.reshape(-1, 3).astype(np.int32))
 
 
 def look_at(eye: Sequence[float], target: Sequence[float]) -> np.ndarray:
-    """Return the pose of a camera that is held level, z up."""
+    """Compute the pose of a level camera at `eye` that faces `target`; z is up."""
     start = np.array(eye, np.float64)
     forward = np.array(target, np.float64) - start
     forward /= np.linalg.norm(forward)
@@ -54,7 +54,7 @@ def look_at(eye: Sequence[float], target: Sequence[float]) -> np.ndarray:
 
 
 def render_depth(surface: RaycastingSurface, pose: np.ndarray) -> np.ndarray:
-    """Return the depth map (h, w) float32 that a camera measures, 0 where it sees nothing."""
+    """Render the depth map (h, w) float32 of a camera, 0 without a hit."""
     v, u = np.mgrid[: CAMERA.height, : CAMERA.width]
     rays = np.stack([(u - CAMERA.cx) / CAMERA.fx, (v - CAMERA.cy) / CAMERA.fy, np.ones(u.shape)], axis=-1)
     hits = surface.cast_rays(pose[:3, 3], rays.reshape(-1, 3) @ pose[:3, :3].T)
@@ -64,7 +64,7 @@ def render_depth(surface: RaycastingSurface, pose: np.ndarray) -> np.ndarray:
 
 
 def render_frames(world: Mesh, viewpoints: Iterable[tuple[Sequence[float], Sequence[float]]]) -> list[Frame]:
-    """Return a frame for each eye and target."""
+    """Render a frame for each pair of eye and target."""
     surface = RaycastingSurface(world, np.array([[-6, -6, -6], [6, 6, 6]], np.float64))
     poses = [look_at(eye, target) for eye, target in viewpoints]
     return [

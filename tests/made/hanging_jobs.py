@@ -5,7 +5,8 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-# What Python runs at its start; only the processes of jobs are meant. The child is there to be ended, too.
+# Source of a sitecustomize module, which every Python process runs at its start. It acts only in processes of
+# jobs. The child process checks that ending a job also ends its children.
 _HOOK = """
 import os, subprocess, sys, time
 from pathlib import Path
@@ -30,16 +31,16 @@ if any("scanloom.pipeline.batch.job_process" in word for word in sys.orig_argv):
 
 
 def make_hanging_environment(folder: Path, file: str, stage: str, cache: Path) -> dict[str, str]:
-    """Return variables with which the processes of jobs hang where they open a file.
+    """Make environment variables that let job processes hang when they open a file.
 
-    They then write their number, and that of a child, into `folder / "hung"`.
+    A hanging process writes its process id and its child's id into `folder / "hung"`.
 
     Parameters
     ----------
-    folder : gets what makes them hang.
-    file : the end of its path.
-    stage : that is at work then.
-    cache : in which that stage makes its result.
+    folder : for the module that makes processes hang.
+    file : end of the path of the file.
+    stage : during which opening hangs.
+    cache : in which that stage stores its result.
     """
     folder.mkdir()
     hook = _HOOK.format(file=file, drafts=str(cache / "drafts"), stage=stage, marker=str(folder / "hung"))
@@ -48,13 +49,13 @@ def make_hanging_environment(folder: Path, file: str, stage: str, cache: Path) -
 
 
 def is_any_alive(pid_file: Path) -> bool:
-    """Return whether any of the processes is there that have noted themselves."""
+    """Check if any process listed in a file is alive."""
     return pid_file.exists() and any(map(_is_alive, pid_file.read_text().split()))
 
 
 def _is_alive(process: str) -> bool:
     try:
-        # One that has ended, and that nobody asks for how, is Z.
+        # State Z: a process that has ended but whose exit code was not collected.
         return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
     except OSError:
         return False

@@ -15,11 +15,11 @@ Graph = dict[str, set[str]]
 
 
 def build_python_graph(root: Path, packages: Iterable[str], *, inside: str = "") -> Graph:
-    """Imports between the modules of some packages, wherever they stand: in functions and for types, too.
+    """Build the graph of imports between the modules of some packages.
 
-    A compiled module is there by its stub. A string that is the name of a module counts as an import, since
-    that is how modules are imported late and by name. The packages are imported from the package `inside`, if
-    one is given, wherever their folders are.
+    Imports inside functions and for type checking count, too. A stub represents a compiled module. A string
+    that equals the name of a module counts as an import, because lazy imports name their modules by strings.
+    With `inside`, the packages are subpackages of that package, wherever their folders are.
     """
     files = [path for package in packages for path in (root / package).rglob("*.py*")]
     sources = [path for path in files if path.suffix in (".py", ".pyi")]
@@ -31,7 +31,7 @@ def build_python_graph(root: Path, packages: Iterable[str], *, inside: str = "")
 
 
 def find_python_imports(tree: ast.Module, modules: Collection[str]) -> Iterator[str]:
-    """Those of `modules` that a module imports."""
+    """Find the modules in `modules` that a syntax tree imports."""
     for node in ast.walk(tree):
         if isinstance(node, ast.Import):
             yield from (owner for alias in node.names if (owner := find_owner(alias.name, modules)))
@@ -43,9 +43,9 @@ def find_python_imports(tree: ast.Module, modules: Collection[str]) -> Iterator[
 
 
 def build_rust_graph(source: Path) -> Graph:
-    """Imports between the files of a crate: `use`, paths in the code, and `mod`.
+    """Build the graph of imports between the files of a crate: `use`, paths in the code, and `mod`.
 
-    What unit tests import is left out: they may use everything, as the tests outside the crate do.
+    Imports of unit tests are ignored: tests may use every module.
     """
     paths = {to_module_name("crate" / path.relative_to(source)): path for path in source.rglob("*.rs")}
     texts = {name: path.read_text(encoding="utf-8") for name, path in paths.items() if path.stem != "tests"}
@@ -56,7 +56,7 @@ def build_rust_graph(source: Path) -> Graph:
 
 
 def find_rust_paths(name: str, text: str) -> Iterator[str]:
-    """Every path within the crate that a file names, from the crate's root."""
+    """Find every path within the crate that a file uses, absolute from the crate's root."""
     code = re.sub(r"//.*", "", text)
     code = re.sub(r"#\[cfg\(test\)\]\s*mod \w+(?:;| \{.*)", "", code, flags=re.DOTALL)
     children = re.findall(r"\bmod (\w+);", code)
@@ -74,7 +74,7 @@ def find_rust_paths(name: str, text: str) -> Iterator[str]:
 
 
 def expand_use_tree(tree: str) -> list[list[str]]:
-    """Paths of a tree of `use`: `a::{b, c::{d, e}}` is a::b, a::c::d and a::c::e."""
+    """Expand a tree of `use`: `a::{b, c::{d, e}}` becomes a::b, a::c::d and a::c::e."""
     head, brace, group = tree.partition("{")
     steps = re.findall(r"\w+", head.split(" as ")[0])
     if not brace:
@@ -90,44 +90,44 @@ def expand_use_tree(tree: str) -> list[list[str]]:
 
 
 def to_module_name(path: Path) -> str:
-    """A file's place in its tree as the name of a module."""
+    """Convert the path of a file in its tree to the name of its module."""
     parts = path.with_suffix("").parts
     return ".".join(parts[:-1] if parts[-1] in ("__init__", "mod", "lib") else parts)
 
 
 def get_parent(name: str) -> str:
-    """The folder a module lies in."""
+    """Get the name of the package that contains a module."""
     return name.rpartition(".")[0]
 
 
 def find_owner(name: str, modules: Collection[str]) -> str | None:
-    """The module that a dotted name leads into, if it is one of `modules`."""
+    """Find the longest prefix of a dotted name that is one of `modules`."""
     while name and name not in modules:
         name = get_parent(name)
     return name or None
 
 
-def is_within(module: str, room: str) -> bool:
-    return not room or module == room or module.startswith(f"{room}.")
+def is_in_folder(module: str, folder: str) -> bool:
+    return not folder or module == folder or module.startswith(f"{folder}.")
 
 
 def build_folder_graph(graph: Graph, folder: str) -> Graph:
-    """Imports between what stands in a folder, files and rooms, each room taken as one."""
+    """Build the graph of imports between the entries of a folder: its files and its subfolders."""
     depth = folder.count(".") + 2 if folder else 1
 
     def get_entry(module: str) -> str:
         return ".".join(module.split(".")[:depth])
 
-    rooms: Graph = {}
+    entry_graph: Graph = {}
     for module, imported in graph.items():
-        if module != folder and is_within(module, folder):
-            others = {get_entry(to) for to in imported if to != folder and is_within(to, folder)}
-            rooms.setdefault(get_entry(module), set()).update(others - {get_entry(module)})
-    return rooms
+        if module != folder and is_in_folder(module, folder):
+            others = {get_entry(to) for to in imported if to != folder and is_in_folder(to, folder)}
+            entry_graph.setdefault(get_entry(module), set()).update(others - {get_entry(module)})
+    return entry_graph
 
 
 def find_cycle(graph: Graph) -> list[str] | None:
-    """A way along imports that ends where it began, if there is one; the same one each time."""
+    """Find a cycle of imports, the same one in every run."""
     imports = {module: sorted(graph[module]) for module in sorted(graph)}
     try:
         TopologicalSorter(imports).prepare()
@@ -139,18 +139,18 @@ def find_cycle(graph: Graph) -> list[str] | None:
 
 
 def find_cycles(graph: Graph) -> list[str]:
-    """A circle of files, and for each folder one of what stands in it, files and rooms; in words."""
+    """Describe a cycle of files, and for each folder a cycle of its files and subfolders."""
     found = []
     if ring := find_cycle(graph):
         found.append("files: " + " → ".join(ring))
     for folder in sorted({get_parent(module) for module in graph}):
         if ring := find_cycle(build_folder_graph(graph, folder)):
-            examples = [find_example(graph, room, other) for room, other in pairwise(ring)]
+            examples = [find_example(graph, inner_folder, other) for inner_folder, other in pairwise(ring)]
             found.append("\n".join([f"in {folder or 'all'}: " + " → ".join(ring), *examples]))
     return found
 
 
-def find_example(graph: Graph, room: str, other: str) -> str:
-    """A file of one room that imports one of another."""
-    modules = (module for module in sorted(graph) if is_within(module, room))
-    return next(f"  {a} imports {b}" for a in modules for b in sorted(graph[a]) if is_within(b, other))
+def find_example(graph: Graph, inner_folder: str, other: str) -> str:
+    """Find an import from one subfolder to another."""
+    modules = (module for module in sorted(graph) if is_in_folder(module, inner_folder))
+    return next(f"  {a} imports {b}" for a in modules for b in sorted(graph[a]) if is_in_folder(b, other))

@@ -9,7 +9,7 @@ OTHER_SYSTEM = "posix" if sys.platform == "win32" else "windows"
 
 
 def import_modules(*packages: ModuleType) -> list[ModuleType]:
-    """Import and return every module of these packages that this system can have."""
+    """Import every module of some packages, except modules for other operating systems."""
     return [
         import_module(found.name)
         for package in packages

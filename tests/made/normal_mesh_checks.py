@@ -16,15 +16,15 @@ from scanloom.stages.surface.mesh import Mesh
 from scanloom.stages.surface.raycasting import RaycastingSurface
 from scanloom.stages.surface.topology import topology
 
-# So that made meshes of some thousand triangles are remeshed in no time.
+# Meshes of a few thousand triangles are remeshed in milliseconds.
 SMALL_PARAMETERS = {"levels": 2, "base_triangles": 120}
-# As exact as 32-bit floats, where a test asks whether something is on the surface.
+# Precision of 32-bit floats, for tests that check if a point is on the surface.
 EXACT_PARAMETERS = {**SMALL_PARAMETERS, "tolerance": 5e-8}
 
 
 @cache
 def remesh_cached(make: Callable[[], Mesh], scheme: str = "linear") -> tuple[Mesh, NormalMesh]:
-    """Return a made mesh and what remesh makes of it: several tests look at the same one."""
+    """Remesh a made mesh; the result is cached, because several tests check the same one."""
     mesh = make()
     return mesh, remesh(mesh, scheme=scheme, **EXACT_PARAMETERS)
 
@@ -40,7 +40,10 @@ def compute_normals(mesh: Mesh) -> NDArray[np.float64]:
 
 
 def assert_valid_normal_mesh(found: NormalMesh, mesh: Mesh, within: float = 1e-6) -> None:
-    """At every level vertices are on the surface, no triangle is flipped or flat, the topology stays."""
+    """Check each level:
+
+    vertices are on the surface, no triangle is flipped or flat, topology is unchanged.
+    """
     surface = RaycastingSurface(mesh)
     facing = compute_normals(mesh)
     for level in found.levels:
@@ -56,11 +59,11 @@ def assert_valid_normal_mesh(found: NormalMesh, mesh: Mesh, within: float = 1e-6
 
 
 def assert_on_triangles(level: Mesh, triangles: NDArray[np.int32], mesh: Mesh) -> None:
-    """Each vertex of a level is on the triangle it is said to be on.
+    """Check that each vertex of a level is on its recorded triangle.
 
-    In double precision: of needles, single precision does not know where they are.
+    Computed in double precision, because single precision cannot locate points on needle triangles.
     """
-    # trimesh takes products of lengths below 1e-8 for nothing.
+    # trimesh treats products of lengths below 1e-8 as zero.
     scale = 1e6 / compute_diagonal(mesh)
     corners, points = scale * mesh.vertices[mesh.triangles[triangles]], scale * level.vertices
     closest = trimesh.triangles.closest_point(corners, points)

@@ -13,16 +13,16 @@ from scanloom.stages.scans.model.scan import Camera, Frame
 Floats = NDArray[np.float64]
 
 CAMERA = Camera(160, 120, 140.0, 140.0, 79.5, 59.5)
-TABLE = 0.45  # radius of the table, whose top is z = 0, metres
+TABLE = 0.45  # radius of the table, whose top is at z = 0, metres
 FLOOR = -0.6
-BALL = 0.12  # radius of the ball, which stands on the table
-BOX_HALF_SIZE = np.array([0.2, 0.16, 0.09])  # of the box, which does, too
-OBJECT_POSITION = np.array([0.03, -0.02])  # where they stand
+BALL = 0.12  # radius of the ball on the table, metres
+BOX_HALF_SIZE = np.array([0.2, 0.16, 0.09])  # of the box on the table, metres
+OBJECT_POSITION = np.array([0.03, -0.02])  # centre of the ball or the box on the table
 FRAMES = 16
 
 
 def pose(angle: float, *, distance: float = 1.0, lift: float = 0.6, roll: float = 0.0) -> Floats:
-    """World-from-camera of a camera that looks at the thing; angles in degrees."""
+    """Compute the world-from-camera pose of a camera that faces the object; angles in degrees."""
     turn, tilt = np.radians(angle), lift
     aim = np.array([*OBJECT_POSITION, 0.08])
     back = np.array([np.cos(turn) * np.cos(tilt), np.sin(turn) * np.cos(tilt), np.sin(tilt)])
@@ -36,7 +36,7 @@ def pose(angle: float, *, distance: float = 1.0, lift: float = 0.6, roll: float 
 
 
 def render_depth(world_from_camera: Floats, thing: str, *, table: float = TABLE) -> Floats:
-    """Return the depth map (h, w): of a `ball`, a `box` or `nothing` on the table, and of the floor."""
+    """Render the depth map (h, w) of a `ball`, a `box` or `nothing` on the table above the floor."""
     u, v = np.meshgrid(np.arange(CAMERA.width), np.arange(CAMERA.height))
     rays = np.stack([(u - CAMERA.cx) / CAMERA.fx, (v - CAMERA.cy) / CAMERA.fy, np.ones(u.shape)], axis=-1)
     way, eye = rays @ world_from_camera[:3, :3].T, world_from_camera[:3, 3]
@@ -63,7 +63,7 @@ def render_depth(world_from_camera: Floats, thing: str, *, table: float = TABLE)
 
 
 def frames(thing: str, *, noise: float = 0.001, table: float = TABLE, roll: float = 0.0) -> list[Frame]:
-    """Return the ring of frames, with so much noise of depth, metres; red where there is the thing."""
+    """Make the ring of frames with depth noise in metres; pixels of the object are red."""
     draw = np.random.default_rng(7)
     made = []
     for k in range(FRAMES):

@@ -13,7 +13,7 @@ _OPSET = 17
 
 
 def save_network(path: Path, nodes: Sequence[onnx.NodeProto], inputs, outputs, weights=()) -> Path:
-    """Write a graph; inputs and outputs are (name, shape[, type]), weights arrays by name."""
+    """Save a network with inputs and outputs as (name, shape[, type]) and weights by name."""
 
     def make_value_info(name, shape, kind=TensorProto.FLOAT):
         return helper.make_tensor_value_info(name, kind, shape)
@@ -43,15 +43,15 @@ def write_stereo_network(
     window: int = 7,
     sharpness: float = 0.6,
 ) -> Path:
-    """Write a stereo network: grey, shift, difference, mean of a window, soft argmin.
+    """Write a stereo network: grey, shift, difference, window mean, soft argmin.
 
     Parameters
     ----------
-    scale : what disparity is multiplied with at the end: −1 for networks of the other sign.
-    low, high : what black and white are to it; a value beyond them is cut off, as saturation would.
+    scale : factor for the disparity output; −1 for networks with the opposite sign.
+    low, high : input values of black and white; values beyond them are clipped, like saturated pixels.
     """
     shape = [1, 3, *size]
-    # Shifting to the right by each disparity is a convolution with rows that hold a single one.
+    # Shifting to the right by each disparity is a convolution with one-hot rows.
     shifts = np.eye(disparities, dtype=np.float32)[::-1].reshape(disparities, 1, 1, disparities)
     weights = {
         "low": np.float32(low),
@@ -83,7 +83,7 @@ def write_stereo_network(
 
 
 def write_brightness_network(path: Path, *, scale: float = 2.0, shift: float = 5.0) -> Path:
-    """Write a network of one image, 0 to 1: inverse depth is linear in the mean of its channels."""
+    """Write a monocular network: inverse depth is linear in the mean of the image's channels (0 to 1)."""
     weights = {
         "to_grey": np.full((1, 3, 1, 1), scale / 3, np.float32),
         "shift": np.array([shift], np.float32),

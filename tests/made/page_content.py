@@ -8,7 +8,7 @@ from typing import Any
 
 
 def read_page_content(page: bytes) -> dict[str, Any]:
-    """Return the content of a page."""
+    """Parse the content that is embedded in a page."""
     found = re.search(rb'id="content"[^>]*>(.*?)</script>', page, re.DOTALL)
     assert found is not None
     content: dict[str, Any] = json.loads(found[1])

@@ -34,12 +34,12 @@ def _make_noise() -> np.ndarray:
 def render_view(
     world_from_camera: np.ndarray, texture: float = 2.0, backdrop: float = 4.0, seed: int = 0
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Return the (h, w, 3) uint8 image and the (h, w) depth along the axis, 0 where the backdrop is.
+    """Render the (h, w, 3) uint8 image and the (h, w) depth along the axis, 0 on the backdrop.
 
     Parameters
     ----------
-    texture : standard deviation of the thing's own grey levels.
-    backdrop : its grey level.
+    texture : standard deviation of the object's grey levels.
+    backdrop : grey level of the backdrop.
     """
     u, v = np.meshgrid(np.arange(CAMERA.width), np.arange(CAMERA.height))
     rays = np.stack([(u - CAMERA.cx) / CAMERA.fx, (v - CAMERA.cy) / CAMERA.fy, np.ones(u.shape)], axis=-1)
@@ -66,7 +66,7 @@ def render_view(
 
 
 def make_pale_scan(views: int = 36, step: float = 10.0, **look: float) -> tuple[Scan, list[np.ndarray]]:
-    """Return views `step` degrees apart, with their true depth."""
+    """Make a scan of views `step` degrees apart; return their true depth as well."""
     frames, depths = [], []
     for number in range(views):
         where = pose(step * number, 0, distance=0.9)

@@ -8,7 +8,7 @@ from scanloom.stages.surface.mesh import Mesh
 
 
 def select_quarter(mesh: Mesh) -> Mesh:
-    """Return the triangles of one corner: lower than half of them along the two longest sides."""
+    """Select the triangles of one corner: below the medians along the two longest sides."""
     middles = mesh.vertices[mesh.triangles].mean(axis=1)
     longest = np.argsort(np.ptp(mesh.vertices, axis=0))[1:]
     is_in = (middles[:, longest] < np.median(middles[:, longest], axis=0)).all(axis=1)

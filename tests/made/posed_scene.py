@@ -13,9 +13,9 @@ from scipy.ndimage import gaussian_filter, map_coordinates
 from scanloom.stages.scans.model.scan import Camera, Frame, Scan
 
 CAMERA = Camera(240, 180, 300.0, 305.0, 121.0, 87.0)
-RADIUS, BOARD_Z, BOARD = 0.22, 0.25, 0.4  # of the ball at the origin, metres; the board reaches ±0.4
+RADIUS, BOARD_Z, BOARD = 0.22, 0.25, 0.4  # radius of the ball, and z and half side of the board, metres
 DISTANCE = 1.2
-# Rolls of the cameras about their axes, degrees: side by side, upside down, on their sides and askew.
+# Rolls of the cameras about their axes, degrees: upright, upside down, on their sides and oblique.
 ROLLS = (0, 90, 180, 37, 0, -90, 10)
 
 
@@ -26,7 +26,7 @@ def _make_noise() -> np.ndarray:
 
 
 def pose(angle: float, roll: float, distance: float = DISTANCE) -> np.ndarray:
-    """World-from-camera of a camera on a level ring that looks at the origin; in degrees, 0 is in front."""
+    """Compute the world-from-camera pose of a camera that faces the origin; angles in degrees, 0 in front."""
     a, r = np.radians((angle, roll))
     z = np.array((np.sin(a), 0.0, np.cos(a)))
     x = np.array((np.cos(a), 0.0, -np.sin(a)))
@@ -38,7 +38,7 @@ def pose(angle: float, roll: float, distance: float = DISTANCE) -> np.ndarray:
 
 
 def render_view(world_from_camera: np.ndarray, camera: Camera = CAMERA) -> tuple[np.ndarray, np.ndarray]:
-    """Return the (h, w, 3) uint8 image and the (h, w) depth along the axis, 0 where it is black."""
+    """Render the (h, w, 3) uint8 image and the (h, w) depth along the axis, 0 on the background."""
     u, v = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
     rays = np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones(u.shape)], axis=-1)
     way, centre = rays @ world_from_camera[:3, :3].T, world_from_camera[:3, 3]
@@ -59,9 +59,9 @@ def render_view(world_from_camera: np.ndarray, camera: Camera = CAMERA) -> tuple
 
 @cache
 def make_posed_scan() -> tuple[Scan, tuple[np.ndarray, ...]]:
-    """Return seven views, 7 degrees apart and each turned another way, with their true depth.
+    """Make a scan of seven views, 7 degrees apart and with different rolls; return their true depth as well.
 
-    They are the same for all who ask, and left as they are.
+    The result is cached and shared; tests must not change it.
     """
     frames, depths = [], []
     for number, roll in enumerate(ROLLS):

@@ -9,18 +9,18 @@ from numpy.typing import NDArray
 from scanloom.stages.scans.model.scan import Camera, Frame, Pose
 
 CAMERA = Camera(320, 240, 270.0, 270.0, 159.5, 119.5)
-# Half of the room's sides and its height, metres; pixels of a wall's paper, and of a poster on it, a metre.
+# Half of the room's side and height in metres; resolution of wallpapers and posters in pixels per metre.
 _HALF, _HALF_HEIGHT, _PIXELS_PER_METRE = 2.0, 1.5, 160
 _POSTER = 1.2
-# Degrees from frame to frame.
+# Degrees between frames.
 STEP = 12.0
 
 
 def make_turning_frames(first: float, last: float) -> list[Frame]:
-    """Return frames of a camera that turns to the right, from so many degrees to so many, with true poses.
+    """Make frames of a camera that turns to the right between two angles in degrees, with true poses.
 
-    It goes around a small circle, so that it moves as well. Walls at 0 and at 180 degrees show one poster, on
-    papers that differ.
+    The camera moves around a small circle. The walls at 0 and 180 degrees show the same poster on different
+    wallpaper.
     """
     walls = _make_walls()
     rng = np.random.default_rng(5)
@@ -40,7 +40,7 @@ def _make_walls() -> list[NDArray[np.float64]]:
 
 
 def _make_paper(rng: np.random.Generator, size: tuple[int, int]) -> NDArray[np.float64]:
-    """Return grey values with spots of several sizes."""
+    """Make grey values with spots of several sizes."""
     total = np.zeros(size)
     for blur in (2.0, 4.0, 9.0):
         spots = cv2.GaussianBlur(rng.standard_normal(size), (0, 0), blur)
@@ -71,7 +71,7 @@ def _make_frame(
         down = ((at[..., 1] + _HALF_HEIGHT) * _PIXELS_PER_METRE).astype(np.float32)
         seen = cv2.remap(walls[wall], across, down, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT)
         grey[nearer], depth[nearer] = seen[nearer], z[nearer]
-    # As a structured light camera measures.
+    # Noise of a structured light camera.
     depth += (0.001 + 0.0016 * depth**2) * rng.standard_normal(depth.shape)
     grey += 2 * rng.standard_normal(grey.shape)
     color = np.repeat(np.clip(grey, 0, 255).astype(np.uint8)[..., None], 3, axis=2)
@@ -87,6 +87,6 @@ def _make_pose(turn: float) -> Pose:
 
 
 def _get_wall_axes(wall: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the ways out through a wall and along it to the right of one who looks at it."""
+    """Compute the outward direction of a wall and the direction to the right along the wall."""
     turn = wall * np.pi / 2
     return np.array([np.sin(turn), 0, np.cos(turn)]), np.array([np.cos(turn), 0, -np.sin(turn)])

@@ -30,14 +30,14 @@ MISSING_IN_OS = (
     *("O_NOFOLLOW", "O_NONBLOCK", "O_CLOEXEC", "O_DIRECTORY", "mkfifo", "sysconf", "sched_getaffinity"),
     *("fork", "geteuid", "getuid", "getpgid", "killpg", "chown", "pread", "openpty"),
 )
-# How a file is marked here that was opened so that others may remove it.
+# Marks a file descriptor whose file others may remove while it is open.
 _MARK = os.O_NOATIME
 _NOT_FOUND, _DENIED, _LOCKED = 2, 5, 33
 _ERRNO = {_NOT_FOUND: errno.ENOENT, _DENIED: errno.EACCES}
 
 
 def pretend() -> None:
-    """Change this process, for good."""
+    """Change this process permanently."""
     _import_platform_dependent()
     kernel = _Kernel()
     sys.platform = "win32"
@@ -50,18 +50,18 @@ def pretend() -> None:
 
 
 def _import_platform_dependent() -> None:
-    """Import all libraries while this is Linux, then forget the sources themselves."""
+    """Import all libraries while the platform is Linux, then unload scanloom's modules."""
     importlib.import_module("scanloom.cli.app").app()
     for name in ("cv2", "scipy.spatial", "trimesh"):
         importlib.import_module(name)
     for name in [name for name in sys.modules if name.split(".")[0] == "scanloom"]:
-        # The kernels can be loaded once only.
+        # A process can load the kernels only once.
         if name != "scanloom.stages._kernels":
             del sys.modules[name]
 
 
 class _Call:
-    """A function of a library; what is declared of its arguments is of no use here."""
+    """A function of a library; declared argument types are ignored."""
 
     def __init__(self, function: Callable[..., int]) -> None:
         self._function = function
@@ -71,7 +71,7 @@ class _Call:
 
 
 class _Kernel:
-    """What the sources call in kernel32 and ntdll, with file descriptors for handles."""
+    """Functions of kernel32 and ntdll that scanloom calls, with file descriptors as handles."""
 
     def __init__(self) -> None:
         self.last_error = 0
@@ -175,7 +175,7 @@ def _change_os() -> None:
 
 
 def _refuse_if_open(path: Any) -> None:
-    """Raise what Windows does for a file that is open, or a folder in which one is."""
+    """Raise the error of Windows for an open file, or for a folder that contains an open file."""
     whole = os.path.realpath(os.path.dirname(path)) + os.sep + os.path.basename(path)  # noqa: PTH119, PTH120
     is_folder = stat.S_ISDIR(os.lstat(path).st_mode) if os.path.lexists(path) else False
     for number in os.listdir("/proc/self/fd"):  # noqa: PTH208
@@ -190,5 +190,5 @@ def _refuse_if_open(path: Any) -> None:
 
 
 def pytest_configure() -> None:
-    """Pretend for all tests of a run."""
+    """Emulate Windows for all tests of a run."""
     pretend()

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from scanloom.stages.files.image_bytes import encode_png
 from scanloom.stages.surface.mesh import Image, Material, Mesh, Texture
 
-# Kinds of texture: what each material of the mesh has.
+# Kinds of texture, named by the images of their materials.
 TEXTURES = (
     "none",
     "one image",
@@ -23,12 +23,12 @@ TEXTURES = (
 
 
 def random_image(rng: np.random.Generator, channels: int = 3) -> Image:
-    """Return an image of noise, 5 rows of 7 pixels."""
+    """Make an image of noise, 5 rows of 7 pixels."""
     return Image(given=rng.integers(0, 256, (5, 7, channels)).astype(np.uint8))
 
 
 def random_texture(rng: np.random.Generator, triangles: int, kind: str) -> Texture | None:
-    """Return a texture of one of TEXTURES with random coordinates."""
+    """Make a texture of one of TEXTURES with random coordinates."""
     if kind == "none":
         return None
     image = random_image(rng)
@@ -46,19 +46,19 @@ def random_texture(rng: np.random.Generator, triangles: int, kind: str) -> Textu
     }[kind]
     low = -1 if kind == "image and untextured part" else 0
     ids = rng.integers(low, len(materials), triangles).astype(np.int32)
-    # Few values, so that some corners of a vertex agree and others do not.
+    # Few different values, so that some corners of a vertex share a coordinate and others do not.
     return Texture(rng.integers(1, 4, (triangles, 3, 2)) / 4, ids, materials)
 
 
 def random_directions(rng: np.random.Generator, *shape: int) -> Any:
-    """Return unit vectors (*shape, 3)."""
+    """Draw unit vectors (*shape, 3)."""
     vectors = rng.normal(size=(*shape, 3))
     return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
 
 
 @st.composite
 def varied_meshes(draw: st.DrawFn) -> Mesh:
-    """Draw a mesh of 1 to 20 triangles; vertices may be unused, and triangles overlap."""
+    """Draw a mesh of 1 to 20 triangles, which may overlap and leave vertices unused."""
     rng = np.random.default_rng(draw(st.integers(0, 1 << 16)))
     vertices, triangles = draw(st.integers(3, 12)), draw(st.integers(1, 20))
     has_parts = draw(st.booleans())

@@ -26,13 +26,13 @@ def make_reader_call(file: Path) -> Call:
 
 
 def main() -> None:
-    # What readers import where they use it.
+    # Libraries that readers import inside functions.
     import cv2  # noqa: F401
     import OpenEXR  # noqa: F401
     import scipy.sparse  # noqa: F401
     import trimesh.exchange.load  # noqa: F401
 
-    # OpenBLAS begins its threads again after a fork; a command has them from its imports.
+    # OpenBLAS restarts its threads after a fork. An ordinary process already has them from its imports.
     np.dot(np.eye(400), np.eye(400))
     megabytes = (800, 100, 80, 60, 50, 40, 30, 20, 15, 10, 5, 2, 1, 0)
     for line in sys.stdin:

@@ -39,7 +39,7 @@ def make_message(kind: str, **fields: Any) -> Any:
 
 
 def make_string_message(said: str) -> tuple[str, dict[str, Any]]:
-    """Type and fields of a ROS 2 text."""
+    """Make type and fields of a ROS 2 text message."""
     return "std_msgs/msg/String", {"data": said}
 
 
@@ -52,7 +52,10 @@ def serialise_ros2(kind: str, fields: dict[str, Any]) -> bytes:
 
 
 def make_header(time: int, frame: str = "1") -> Any:
-    """A header; RealSense's recorder puts its version where other bags have the frame's name."""
+    """Make a message header.
+
+    RealSense's recorder stores its version in the field for the frame's name.
+    """
     stamp = make_message("builtin_interfaces/Time", sec=time // 10**9, nanosec=time % 10**9)
     return make_message("std_msgs/Header", seq=7, stamp=stamp, frame_id=frame)
 
@@ -66,7 +69,7 @@ def make_transform(translation: Sequence[float], turn: Sequence[float]) -> dict[
 
 @dataclass
 class Image:
-    """An image at a moment; `recorded` is when the recorder wrote it, `unit` what it adds behind it."""
+    """Image with a time stamp, the time of recording, and the depth unit that is appended to its message."""
 
     time: int
     pixels: np.ndarray
@@ -104,7 +107,7 @@ class Image:
         return data if self.unit is None else data + struct.pack("<f", self.unit)
 
     def row(self, topic: str, recorded: int, form: str) -> tuple[str, str, dict[str, Any]]:
-        """Topic, message type and fields in a newer recording."""
+        """Make topic, message type and fields for a newer recording."""
         stamp = _ROS_2.types["builtin_interfaces/msg/Time"](sec=recorded // 10**9, nanosec=recorded % 10**9)
         fields: dict[str, Any] = {
             "header": _ROS_2.types["std_msgs/msg/Header"](stamp=stamp, frame_id="Depth")
@@ -125,7 +128,7 @@ class Image:
 
 @dataclass
 class Stream:
-    """A stream and what the recording says of it; None for what it does not say."""
+    """Stream with its properties in the recording; None for properties that the recording lacks."""
 
     name: str
     images: Sequence[Image]
@@ -142,7 +145,7 @@ class Stream:
 
 @dataclass
 class Reading:
-    """What an accelerometer reads at a moment, m/s²; its variance is -1 where it measures nothing."""
+    """Accelerometer sample in m/s²; the variance is -1 for a sensor that does not measure acceleration."""
 
     time: int
     acceleration: Sequence[float]
@@ -165,7 +168,7 @@ class Reading:
 
 @dataclass
 class Recording:
-    """Streams, what accelerometers read by topic, and the depth units that the sensor's option had."""
+    """Streams, accelerometer samples by topic, and the recorded values of the depth unit option."""
 
     streams: Sequence[Stream]
     units: Sequence[float] = (0.0001,)
@@ -191,12 +194,13 @@ class Recording:
         return path
 
     def write_ros2(self, folder: Path, storage: str, packed: str = "none", parts: int = 1) -> Path:
-        """Write a folder of ROS 2, and return the file in it, or the folder if there are more.
+        """Write a ROS 2 folder; return its only file, or the folder if it has several files.
 
-        `storage` is sqlite3 or mcap, `packed` is what zstd packs: none, message, file, or storage (chunks).
+        `storage` is sqlite3 or mcap. `packed` is the part that zstd compresses: none, message, file, or
+        storage (chunks).
         """
         messages = list(self._messages())
-        # A recorder that is told to split its files starts the next one in the middle of the streams.
+        # Recorders split files by size, so the next file starts in the middle of the streams.
         starts = [len(messages) * part // parts for part in range(parts + 1)]
         names = []
         for part in range(parts):
@@ -221,7 +225,7 @@ class Recording:
         return folder
 
     def write_db3(self, path: Path, form: str = "raw") -> Path:
-        """Write as the maker's newer library; `form` of images is raw, png, or zstd, which packs all."""
+        """Write a recording like librealsense 3; `form` of images is raw, png, or zstd (all messages)."""
         path.unlink(missing_ok=True)
         database = sqlite3.connect(path)
         database.execute("CREATE TABLE topics(id INTEGER PRIMARY KEY, name TEXT, type TEXT)")
@@ -244,7 +248,7 @@ class Recording:
         return path
 
     def _rows(self, form: str) -> Iterator[tuple[int, str, str, dict[str, Any] | bytes]]:
-        """Yield when, topic, message type and fields, or the message."""
+        """Yield time, topic, message type, and the fields or the serialised message."""
         for topic, readings in self.readings.items():
             for one in readings:
                 data = bytes(_ROS_2.ros1_to_cdr(one.message(), "sensor_msgs/msg/Imu"))
@@ -270,7 +274,7 @@ class Recording:
                 yield recorded, *image.row(f"{stream.name}/image/data", recorded, form)
 
     def _messages(self) -> Iterator[tuple[str, str, int, bytes]]:
-        """Yield topic, ROS 1 type, when it was recorded and the serialised message, as they are written."""
+        """Yield topic, ROS 1 type, time of recording and serialised message, in file order."""
         for topic, (kind, fields) in self.others.items():
             yield topic, kind, 1, serialise_ros1(kind, **fields)
         for stream in self.streams:

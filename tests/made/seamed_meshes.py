@@ -9,13 +9,13 @@ from scanloom.stages.surface.mesh import Image, Material, Mesh, Texture
 
 
 def picture(width: int = 64, height: int = 32) -> Image:
-    """Colours that tell where in the image they are."""
+    """Make an image whose colours encode the pixel position."""
     x, y = np.meshgrid(np.linspace(0, 255, width), np.linspace(0, 255, height))
     return Image("picture.png", None, np.stack([x, y, 255 - x], axis=2).astype(np.uint8))
 
 
 def wrapped_ball(rings: int = 24, sectors: int = 32, bumps: float = 0.05) -> Mesh:
-    """A ball with a world map: one seam from pole to pole, poles of as many coordinates as sectors.
+    """Make a sphere with an equirectangular map: one seam between the poles, one pole coordinate per sector.
 
     Vertices are shared; only texture coordinates differ along the seam.
     """
@@ -50,9 +50,9 @@ def wrapped_ball(rings: int = 24, sectors: int = 32, bumps: float = 0.05) -> Mes
 
 
 def folded_strips(columns: int = 12, rows: int = 5, height: float = 0.02) -> Mesh:
-    """A sheet cut along its middle row: each half has a chart of its own, and vertices of its own on the cut.
+    """Make a sheet cut along its middle row: each half has a separate chart and separate vertices.
 
-    It is figure 3a of the paper: along the cut every vertex is there twice, with two texture coordinates.
+    This is figure 3a of the paper: each vertex on the cut exists twice, with two texture coordinates.
     """
     assert rows % 2 == 1
     rng = np.random.default_rng(7)
@@ -66,7 +66,7 @@ def folded_strips(columns: int = 12, rows: int = 5, height: float = 0.02) -> Mes
     offset = 0
     for number, half in enumerate(halves):
         at = offset + np.arange(half[..., 0].size).reshape(half.shape[:2])
-        # The upper half lies elsewhere in the image, and turned by a quarter.
+        # The upper half is in another part of the image, turned by 90°.
         flat = half[..., :2] / (2 * columns)
         place = flat if number == 0 else np.stack([0.9 - flat[..., 1], 0.1 + flat[..., 0]], axis=2)
         for r in range(half.shape[0] - 1):
@@ -81,7 +81,7 @@ def folded_strips(columns: int = 12, rows: int = 5, height: float = 0.02) -> Mes
 
 
 def two_cubes(gap: float) -> Mesh:
-    """Two cubes that face each other across a gap, each cut into 128 triangles and without a texture."""
+    """Make two untextured cubes of 768 triangles each that face each other across a gap."""
     import trimesh
 
     box = trimesh.creation.box((1, 1, 1)).subdivide().subdivide().subdivide()
@@ -92,7 +92,7 @@ def two_cubes(gap: float) -> Mesh:
 
 
 def touching_parts(rng: np.random.Generator, gap: float) -> Mesh:
-    """Two to five boxes, prisms and open sheets whose faces, edges or corners nearly touch."""
+    """Make two to five boxes, prisms and open sheets whose faces, edges or corners nearly touch."""
     import trimesh
 
     vertices: list[NDArray[np.float64]] = []
@@ -122,31 +122,31 @@ def touching_parts(rng: np.random.Generator, gap: float) -> Mesh:
 
 
 def weld_corners(mesh: Mesh) -> NDArray[np.int64]:
-    """Return triangles whose corners are numbered by position."""
+    """Replace the vertex indices of triangles by indices of distinct positions."""
     _, number = np.unique(mesh.vertices, axis=0, return_inverse=True)
     return number.reshape(-1)[mesh.triangles]
 
 
 def count_edges(triangles: NDArray[np.int64]) -> tuple[int, int]:
-    """Return how many edges have one triangle, and how many more than two."""
+    """Count edges with one triangle, and edges with more than two."""
     edges = np.sort(triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
     counts = np.unique(edges, axis=0, return_counts=True)[1]
     return int((counts == 1).sum()), int((counts > 2).sum())
 
 
 def count_duplicates(triangles: NDArray[np.int64]) -> int:
-    """Return how many triangles have the corners of another one."""
+    """Count triangles with the same corners as another triangle."""
     return len(triangles) - len(np.unique(np.sort(triangles, axis=1), axis=0))
 
 
 def signed_areas(uvs: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return twice the signed area of triangles (m, 3, 2) of an image."""
+    """Compute twice the signed area of triangles (m, 3, 2) in an image."""
     u, v = uvs[:, 1] - uvs[:, 0], uvs[:, 2] - uvs[:, 0]
     return np.asarray(u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0])
 
 
 def find_charts(mesh: Mesh) -> NDArray[np.int64]:
-    """Return the chart of each triangle: those that share an edge in space and in the image are of one."""
+    """Label the chart of each triangle; triangles of a chart share edges in space and in the image."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
@@ -167,10 +167,10 @@ def find_charts(mesh: Mesh) -> NDArray[np.int64]:
 
 
 def count_outside_charts(simplified: Mesh, source: NDArray[np.int32], mesh: Mesh, slack: float = 1e-9) -> int:
-    """Return how many corners of `simplified` have a coordinate that no triangle of their chart in `mesh`
-    holds.
+    """Count corners of `simplified` outside their chart in `mesh`.
 
-    The chart of a triangle is that of its `source`.
+    A triangle belongs to the chart of its `source` triangle. A corner is outside if no triangle of the chart
+    covers its texture coordinates.
     """
     assert simplified.texture is not None
     assert mesh.texture is not None
@@ -196,7 +196,7 @@ def _is_covered(points: NDArray[np.float64], images: NDArray[np.float64], slack:
             along = b - a
             length = np.linalg.norm(along, axis=1)
             apart = along[:, 0] * (p[1] - a[:, 1]) - along[:, 1] * (p[0] - a[:, 0])
-            # A side without length holds what is at its end.
+            # A triangle side of length zero gives no constraint.
             inside &= (apart * s >= -slack * length) | (length == 0)
         held[i] = inside.any()
     return held

@@ -32,7 +32,7 @@ Call = Callable[[], object]
 
 
 def make_kernel_call(kernel: str, side: int) -> Call:
-    """Return a call of a kernel, with all its arrays made before."""
+    """Make a call of a kernel whose arguments are already allocated."""
     if kernel == "decode_normal_mesh":
         return partial(_decode_all_levels, _make_in_subprocess(lambda: _remesh(sheet(side)).data))
     if kernel == "decode_rows":
@@ -310,7 +310,7 @@ def _ignore_progress(_done: int, _total: int) -> None:
 
 
 def _find_touched_blocks(side: int, voxel_size: float = 1e-4) -> NDArray[np.uint64]:
-    """Blocks of a wall at a distance of one metre, as wide as that."""
+    """Find the blocks of a wall 1 m away whose width is 1 m."""
     flat = np.zeros((side, side), np.float32)
     return kernels.find_touched_blocks(
         _make_wall_camera(side),
@@ -382,7 +382,7 @@ def _remesh(mesh: Mesh, levels: int = 3) -> kernels.NormalMesh:
 
 
 def _make_in_subprocess(make: Callable[[], bytes]) -> bytes:
-    """Return what another process makes: runs would begin with what is freed in this one."""
+    """Compute bytes in another process, so that freed memory is not available to the runs."""
     reading, writing = os.pipe()
     if os.fork() == 0:
         os.close(reading)
@@ -405,7 +405,10 @@ def _decode_all_levels(file: bytes) -> object:
 
 
 def run_limited(call: Call, *, spare: int = 0, after: float = 0.0) -> str:
-    """Return how a call ends in a process that may grow by `spare` bytes at most from `after` seconds on."""
+    """Run a call in a child process that may grow by `spare` bytes from `after` seconds on.
+
+    Returns the outcome: done, a MemoryError, or the failure.
+    """
     sys.stdout.flush()
     child = os.fork()
     if child == 0:
@@ -431,7 +434,7 @@ def _run_and_exit(call: Call, spare: int, after: float) -> None:
 
 
 def run_until_done(runs: Mapping[str, Callable[[], str]]) -> dict[str, str]:
-    """Return how runs end, up to the second that lacks nothing: the first may have been quick by chance."""
+    """Run with increasing memory until two consecutive runs are done; a single one may be luck."""
     ends: dict[str, str] = {}
     for name, run in runs.items():
         ends[name] = run()
@@ -441,7 +444,7 @@ def run_until_done(runs: Mapping[str, Callable[[], str]]) -> dict[str, str]:
 
 
 def limit_memory(spare: int, after: float = 0.0) -> None:
-    """Let this process grow by no more than `spare` bytes from `after` seconds on."""
+    """Limit the growth of this process to `spare` bytes from `after` seconds on."""
     time.sleep(after)
     pages = int(Path("/proc/self/statm").read_text().split()[0])
     most = pages * resource.getpagesize() + spare
@@ -451,7 +454,7 @@ def limit_memory(spare: int, after: float = 0.0) -> None:
 def main() -> None:
     for line in sys.stdin:
         kernel, side = line.split()
-        # Each begins with what imports have left, not with what another kernel's arrays have.
+        # A fork per kernel: memory freed by another kernel must not be available.
         child = os.fork()
         if child == 0:
             code = 1

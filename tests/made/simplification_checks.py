@@ -9,12 +9,12 @@ import numpy as np
 from scanloom.stages.simplification.methods import BOUND_REQUIREMENT, Method
 from scanloom.stages.surface.mesh import Mesh
 
-# Vertices that methods place freely may leave the bounding box by this share of its diagonal.
+# Vertices of optimal placement may leave the bounding box by this share of its diagonal.
 MAX_FREE_RATIO = 0.01
 
 
 def compute_diagonal(mesh: Mesh) -> float:
-    """Return the length of the bounding box's diagonal, over the vertices of triangles."""
+    """Compute the diagonal of the bounding box of the used vertices."""
     used = mesh.vertices[np.unique(mesh.triangles)]
     return float(np.linalg.norm(np.ptp(used, axis=0))) if len(used) else 0.0
 
@@ -22,12 +22,12 @@ def compute_diagonal(mesh: Mesh) -> float:
 def make_parameters(
     method: Method[Any, Any], mesh: Mesh, *, share: float = 0.01, ratio: float = 0.3
 ) -> dict[str, Any]:
-    """Return keywords that let `simplify` run a method.
+    """Choose arguments with which `simplify` can run a method.
 
     Parameters
     ----------
-    share : bound on the shape over the diagonal, for methods that take one.
-    ratio : of triangles left, for the others.
+    share : shape bound relative to the diagonal, for methods with bounds.
+    ratio : of triangles to keep, for all other methods.
     """
     is_bounded = (
         method.requirement == BOUND_REQUIREMENT or not method.capabilities.count or method.name == "jia01"
@@ -39,12 +39,12 @@ def make_parameters(
 def assert_within_bounds(
     simplified: Mesh, given: Mesh, max_shape: float | None = None, max_free_ratio: float = MAX_FREE_RATIO
 ) -> None:
-    """Assert finite coordinates, and vertices no farther outside the input's bounding box than a bound.
+    """Check for finite coordinates, and for vertices outside the bounding box of the input.
 
     Parameters
     ----------
-    max_shape : metres, as passed to `simplify`.
-    max_free_ratio : takes its place where no bound was given, over the diagonal.
+    max_shape : allowed distance in metres, as passed to `simplify`.
+    max_free_ratio : allowed distance relative to the diagonal, if there is no `max_shape`.
     """
     assert_finite(simplified)
     if len(simplified.triangles) == 0:
@@ -52,7 +52,7 @@ def assert_within_bounds(
     used = given.vertices[np.unique(given.triangles)]
     low, high = used.min(axis=0), used.max(axis=0)
     margin = max_free_ratio * compute_diagonal(given) if max_shape is None else max_shape
-    # Coordinates are rounded.
+    # Allow for rounding of coordinates.
     margin += 1e-9 * (np.abs(used).max() + compute_diagonal(given))
     outside = np.maximum(low - simplified.vertices, simplified.vertices - high).max(axis=1)
     worst = int(outside.argmax())
@@ -62,7 +62,7 @@ def assert_within_bounds(
 
 
 def assert_finite(mesh: Mesh) -> None:
-    """Assert that positions, normals and texture coordinates are finite."""
+    """Check that positions, normals and texture coordinates are finite."""
     fields = {
         "positions": mesh.vertices,
         "normals": mesh.normals,

@@ -14,7 +14,7 @@ def write_small_sample(folder: Path) -> None:
     scan = json.loads((SAMPLE / "scan.json").read_text())
     camera = scan["camera"]
     scan["camera"] = {name: value / 2 if name in ("fx", "fy") else value for name, value in camera.items()}
-    # Of every two pixels the first is kept, whose middle stays where it is.
+    # Halving keeps the first of every two pixels, so pixel centres stay where they are.
     scan["camera"] |= {"width": 160, "height": 120, "cx": camera["cx"] / 2, "cy": camera["cy"] / 2}
     scan["frames"] = scan["frames"][::4]
     for frame in scan["frames"]:

@@ -23,7 +23,7 @@ def write_small_scan(folder: Path, number: int = 0, frames: int = 4) -> Path:
 
     Parameters
     ----------
-    number : decides where the ball is, how large, and of which colour.
+    number : seed of the ball's position, radius and colour.
     """
     folder.mkdir(parents=True)
     drawn = np.random.default_rng(number)
@@ -44,7 +44,7 @@ def write_small_scan(folder: Path, number: int = 0, frames: int = 4) -> Path:
 
 
 def write_small_scans(folder: Path, count: int) -> Path:
-    """Write so many scans into folders of a folder."""
+    """Write `count` scans into subfolders."""
     for number in range(count):
         write_small_scan(folder / f"scan-{number:04d}", number)
     return folder
@@ -53,7 +53,7 @@ def write_small_scans(folder: Path, count: int) -> Path:
 def _render_depth(
     x: float, center: NDArray[np.float64], radius: float
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Return the depth in metres that a camera at (x, 0, 0) sees, and where it sees the ball."""
+    """Render the depth in metres of a camera at (x, 0, 0), and the mask of the ball."""
     u, v = np.meshgrid(np.arange(_CAMERA.width), np.arange(_CAMERA.height))
     rays = np.stack([(u - _CAMERA.cx) / _CAMERA.fx, (v - _CAMERA.cy) / _CAMERA.fy, np.ones(u.shape)], -1)
     origin = np.array([x, 0.0, 0.0]) - center

@@ -11,13 +11,13 @@ import numpy as np
 from scanloom.stages.scans.model.scan import Camera, Frame
 
 CAMERA = Camera(640, 480, 520.0, 520.0, 318.0, 241.0)
-# Pixels of the wall's picture a metre; how many times as fine photos are drawn as they are taken.
+# Resolution of the wall's picture in pixels per metre; oversampling of rendered photos.
 _PIXELS_PER_METRE, _OVERSAMPLING = 1500, 3
 
 
 @dataclass(frozen=True)
 class Tag:
-    """A tag on the wall z = 0: its number, the middle (x, y) and the edge of its black square, metres."""
+    """Tag on the wall z = 0: number, centre (x, y) and edge of its black square, metres."""
 
     number: int
     middle: tuple[float, float]
@@ -29,7 +29,7 @@ TAGS = (Tag(3, (-0.3, 0.1), 0.12), Tag(7, (0.25, -0.15), 0.12))
 
 
 def wall(tags: Sequence[Tag], width: float = 2.0) -> np.ndarray:
-    """Return a picture of the wall, x and y from -width / 2 on, y down."""
+    """Draw a square picture of the wall, centred at the origin, y down."""
     side = round(width * _PIXELS_PER_METRE)
     noise = np.random.default_rng(2).uniform(150, 210, (side // 40, side // 40)).astype(np.float32)
     picture = cv2.resize(noise, (side, side), interpolation=cv2.INTER_CUBIC).clip(0, 255).astype(np.uint8)
@@ -46,7 +46,7 @@ def wall(tags: Sequence[Tag], width: float = 2.0) -> np.ndarray:
 
 
 def photo(picture: np.ndarray, world_from_camera: np.ndarray, camera: Camera = CAMERA) -> np.ndarray:
-    """Return the (h, w, 3) photo of the wall, blurred and noisy as a camera's."""
+    """Render a photo (h, w, 3) of the wall with a camera's blur and noise."""
     camera_from_world = np.linalg.inv(world_from_camera)
     half = picture.shape[0] / 2
     world_from_picture = (
@@ -58,7 +58,7 @@ def photo(picture: np.ndarray, world_from_camera: np.ndarray, camera: Camera = C
     seen = fine @ np.column_stack([camera_from_world[:3, :2], camera_from_world[:3, 3]]) @ world_from_picture
     size = (camera.width * _OVERSAMPLING, camera.height * _OVERSAMPLING)
     large = cv2.warpPerspective(picture, seen, size, flags=cv2.INTER_LINEAR, borderValue=90)
-    # Lens and pixels add up light, which photos hold as about its root.
+    # Lens and pixels integrate linear light; photos store it with a gamma of 2.2.
     light = ((large / 255.0) ** 2.2).astype(np.float32)
     small = cv2.resize(light, (camera.width, camera.height), interpolation=cv2.INTER_AREA)
     levels = 255 * cv2.GaussianBlur(small, (0, 0), 0.6).astype(np.float64) ** (1 / 2.2)
@@ -67,7 +67,7 @@ def photo(picture: np.ndarray, world_from_camera: np.ndarray, camera: Camera = C
 
 
 def poses(count: int = 6, distance: float = 1.3) -> list[np.ndarray]:
-    """Return world-from-camera poses on an arc that look at the middle of the wall."""
+    """Compute world-from-camera poses on an arc that face the centre of the wall."""
     found = []
     for angle, lift in zip(np.linspace(-0.5, 0.5, count), np.cos(np.arange(count) * 2.1), strict=True):
         centre = distance * np.array((np.sin(angle), 0.25 * lift, -np.cos(angle)))
@@ -84,7 +84,7 @@ def poses(count: int = 6, distance: float = 1.3) -> list[np.ndarray]:
 def frames(
     tags: Sequence[Tag] = TAGS, *, metres_per_unit: float = 1.0, count: int = 6, camera: Camera = CAMERA
 ) -> list[Frame]:
-    """Return views of the wall, their poses in a world of another unit."""
+    """Render views of the wall; their poses are in units of `metres_per_unit`."""
     picture, made = wall(tags), []
     for number, pose in enumerate(poses(count)):
         stated = pose.copy()

@@ -14,7 +14,7 @@ from scanloom.stages.surface.mesh import Image, Material, Mesh, Texture
 
 
 def waves(width: int = 512, height: int = 256) -> NDArray[np.uint8]:
-    """Smooth colours that differ all over the image, alike at its left and right edge."""
+    """Make smooth colours that differ everywhere in the image and match at its left and right edge."""
     y, x = np.mgrid[0:height, 0:width]
     u, v = 2 * np.pi * x / width, np.pi * y / height
     channels = [np.sin(3 * u) * np.sin(v), np.cos(5 * u) * np.sin(v), np.sin(4 * v)]
@@ -22,21 +22,21 @@ def waves(width: int = 512, height: int = 256) -> NDArray[np.uint8]:
 
 
 def encode_jpeg(pixels: NDArray[np.uint8], quality: int = 80, subsampling: int = 2) -> Image:
-    """The image as a JPEG file."""
+    """Encode an image as a JPEG file."""
     file = io.BytesIO()
     PillowImage.fromarray(pixels).save(file, "JPEG", quality=quality, subsampling=subsampling)
     return Image("source.jpg", file.getvalue())
 
 
 def encode_png(pixels: NDArray[np.uint8]) -> Image:
-    """The image as a PNG file."""
+    """Encode an image as a PNG file."""
     file = io.BytesIO()
     PillowImage.fromarray(pixels).save(file, "PNG")
     return Image("source.png", file.getvalue())
 
 
 def textured_ball(image: Image, rings: int = 32, sectors: int = 48, bumps: float = 0.0) -> Mesh:
-    """A ball with an image wrapped around it."""
+    """Make a sphere with an image wrapped around it."""
     mesh = wrapped_ball(rings, sectors, bumps)
     assert mesh.texture is not None
     texture = Texture(mesh.texture.uvs, mesh.texture.material_ids, (Material("map", image),))
@@ -44,13 +44,13 @@ def textured_ball(image: Image, rings: int = 32, sectors: int = 48, bumps: float
 
 
 def replace_materials(mesh: Mesh, materials: tuple[Material, ...], ids: NDArray[np.int32]) -> Mesh:
-    """The mesh with other materials."""
+    """Replace the materials of a mesh."""
     assert mesh.texture is not None
     return mesh.with_(texture=Texture(mesh.texture.uvs, ids, materials))
 
 
 def gltf_material(name: str, image: Image, maps: dict[str, Image] | None = None, **tree: object) -> Material:
-    """A glTF material with a base colour image and textures such as normalTexture."""
+    """Make a glTF material with a base colour image and textures such as normalTexture."""
     textures = {0: (image, {})}
     described: dict[str, object] = {"pbrMetallicRoughness": {"baseColorTexture": {"index": 0}}, **tree}
     for index, (key, one) in enumerate((maps or {}).items(), 1):
@@ -60,14 +60,17 @@ def gltf_material(name: str, image: Image, maps: dict[str, Image] | None = None,
 
 
 def bumpy_plane(cells: int = 24, pixels: int = 256) -> tuple[Mesh, object]:
-    """A flat square whose normal map stands for hills, turned by 30° in the image; and their normals."""
+    """Make a flat square whose normal map encodes hills, and a function of the true normals.
+
+    The normal map is rotated by 0.5 radians in the image.
+    """
     y, x = np.mgrid[0 : cells + 1, 0 : cells + 1] / cells
     vertices = np.stack([x, y, 0 * x], axis=-1).reshape(-1, 3)
     a = (np.arange(cells)[:, None] * (cells + 1) + np.arange(cells)).ravel()
     b, c, d = a + 1, a + cells + 2, a + cells + 1
     triangles = np.stack([np.stack([a, b, c], 1), np.stack([a, c, d], 1)], 1).reshape(-1, 3).astype(np.int32)
     turn = np.array([[np.cos(0.5), -np.sin(0.5)], [np.sin(0.5), np.cos(0.5)]])
-    # From the plane to the image and back.
+    # Texture coordinates: the plane rotated and scaled into the image.
     places = 0.6 * (vertices[:, :2] - 0.5) @ turn.T + 0.5
 
     def normals(points: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -79,7 +82,7 @@ def bumpy_plane(cells: int = 24, pixels: int = 256) -> tuple[Mesh, object]:
     v, u = np.mgrid[0:pixels, 0:pixels]
     uv = np.stack([(u + 0.5) / pixels, 1 - (v + 0.5) / pixels], axis=-1).reshape(-1, 2)
     world = normals(((uv - 0.5) / 0.6) @ turn + 0.5)
-    # The image's axes in space: u runs along the first row of the turn.
+    # Tangent frame: u runs along the first row of the rotation.
     local = np.column_stack([world[:, :2] @ turn.T, world[:, 2]])
     encoded = np.rint(127.5 * (local + 1)).astype(np.uint8).reshape(pixels, pixels, 3)
     image = encode_png(waves(pixels, pixels))
@@ -94,7 +97,7 @@ def bumpy_plane(cells: int = 24, pixels: int = 256) -> tuple[Mesh, object]:
 def sample_points(
     mesh: Mesh, count: int = 4000
 ) -> tuple[NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
-    """Points on a mesh, evenly by area: triangle, weights, place."""
+    """Sample points on a mesh uniformly by area: triangles, barycentric weights, positions."""
     rng = np.random.default_rng(3)
     corners = mesh.vertices[mesh.triangles]
     area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)

@@ -10,11 +10,13 @@ CAMERA = Camera(160, 120, 140.0, 140.0, 79.5, 59.5)
 
 
 def thin_sheet(side: int, x: float, thickness: float, color: tuple[int, int, int]) -> Frame:
-    """Half a metre of sheet at the origin, of a colour that shows on this side, before a grey wall.
+    """Render half a metre of sheet at the origin in front of a grey wall.
+
+    The colour of the sheet is visible from this side only.
 
     Parameters
     ----------
-    side : −1 from a metre before it, 1 from behind.
+    side : −1 for a camera 1 m in front, 1 for one behind.
     x : of the camera, metres.
     thickness : metres.
     """

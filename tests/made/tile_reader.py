@@ -18,17 +18,17 @@ _COLUMNS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
 
 @dataclass
 class Tile:
-    """A tile of a tileset.
+    """Tile of a tileset.
 
     Attributes
     ----------
-    tree : what tileset.json says of it.
-    gltf : what its content says of itself.
-    vertices : (n, 3) float32, in the tileset's frame, as single precision makes them of what is written.
-    colors : (n, 4) uint16, amounts of light, or None.
+    tree : entry of the tile in tileset.json.
+    gltf : glTF description of its content.
+    vertices : (n, 3) float32, in the tileset's frame, dequantised in single precision.
+    colors : (n, 4) uint16, linear, or None.
     triangles : (m, 3) int64.
     uvs : (n, 2) uint16, texture coordinates from the upper left corner of the image, or None.
-    image : the bytes of its file, or None.
+    image : encoded image file, or None.
     """
 
     tree: dict[str, Any]
@@ -41,13 +41,13 @@ class Tile:
     children: list[Tile] = field(default_factory=list)
 
     def all(self) -> Iterator[Tile]:
-        """Give this tile and all below it."""
+        """Iterate over this tile and all tiles below it."""
         yield self
         for child in self.children:
             yield from child.all()
 
     def leaves(self) -> Iterator[Tile]:
-        """Give those tiles of it that have no children, or itself."""
+        """Iterate over the tiles without children, including this one."""
         return (tile for tile in self.all() if not tile.children)
 
 
@@ -72,7 +72,7 @@ def _read_tile(outdir: Path, tree: dict[str, Any]) -> Tile:
     return Tile(
         tree,
         gltf,
-        # Viewers turn what is y-up in glTF to z-up.
+        # Viewers convert y-up glTF to z-up.
         np.stack([x, -z, y], axis=1) + np.float32(0),
         None if color is None else _read_accessor(gltf, binary, color),
         _read_accessor(gltf, binary, primitive["indices"]).reshape(-1, 3).astype(np.int64),
@@ -83,7 +83,7 @@ def _read_tile(outdir: Path, tree: dict[str, Any]) -> Tile:
 
 
 def _read_image(gltf: dict[str, Any], binary: bytes) -> bytes | None:
-    """Return the image of the only material, if it has one."""
+    """Get the encoded image of the only material."""
     (material,) = gltf["materials"]
     number = material["pbrMetallicRoughness"].get("baseColorTexture", {}).get("index")
     if number is None:
@@ -100,7 +100,7 @@ def _read_image(gltf: dict[str, Any], binary: bytes) -> bytes | None:
 
 
 def read_glb_chunks(data: bytes) -> tuple[dict[str, Any], bytes]:
-    """Return the description and the buffer of a GLB file, whose form is checked."""
+    """Split a valid GLB file into description and buffer."""
     magic, version, size, text_size, text_kind = struct.unpack_from("<4sIII4s", data)
     assert (magic, version, size, text_kind) == (b"glTF", 2, len(data), b"JSON")
     assert text_size % 4 == 0

@@ -21,7 +21,8 @@ INTERVAL = 33_000_000
 QUARTER = (0, 0, 0.5**0.5, 0.5**0.5)
 
 
-# Both streams say how they stand to a third place: 1 m in front of the depth camera, turned about its y axis.
+# Both streams give their pose relative to a reference 1 m in front of the depth camera, rotated about its y
+# axis.
 DEPTH_TURN = (0, 0.6, 0, 0.8)
 
 
@@ -38,7 +39,7 @@ def color_image(grey=90):
 
 
 def color_turn():
-    """QUARTER after DEPTH_TURN, as a quaternion x y z w."""
+    """Compose QUARTER and DEPTH_TURN as a quaternion x y z w."""
     s = 0.5**0.5
     return (-s * 0.6, s * 0.6, s * 0.8, s * 0.8)
 
@@ -51,7 +52,8 @@ def depth_stream(count=2, **changes):
 
 def color_stream(count=2, **changes):
     images = [Image(START + n * INTERVAL + 4_000_000, color_image(), "rgb8") for n in range(count)]
-    # The quarter turn takes the depth camera's place in the reference, (0, 0, 1), along.
+    # The quarter turn also rotates the depth camera's position in the reference, (0, 0, 1), which is on its
+    # axis.
     stream = Stream(COLOR, images, (200, 200, 24.5, 32.5), (48, 64), ((-0.04, 0.02, 1), color_turn()))
     return dataclasses.replace(stream, **changes)
 
@@ -74,7 +76,7 @@ def ros_color(**changes):
 
 
 def ros_bag(depth=None, color=None, links=(), **others):
-    """A bag of any camera; `links` of the tree of frames are (parent, child, translation, quaternion)."""
+    """Make a bag of a generic camera; `links` are (parent, child, translation, quaternion)."""
     transforms = [
         make_message(
             "geometry_msgs/TransformStamped",
@@ -89,8 +91,8 @@ def ros_bag(depth=None, color=None, links=(), **others):
     return Recording([depth or ros_depth(), color or ros_color()], units=(), others=others)
 
 
-# color_from_depth is a quarter turn about z and then (-0.04, 0.02, 0): so the colour camera stands in the
-# depth camera at -(a quarter turn back of that), (-0.02, -0.04, 0), turned back.
+# color_from_depth is a quarter turn about z followed by a shift of (-0.04, 0.02, 0). The position of the
+# colour camera in the depth camera's frame is the negative shift turned back: (-0.02, -0.04, 0).
 LINKS = [
     ("base", "depth_optical", (0, 0, 1), DEPTH_TURN),
     ("depth_optical", "arm", (-0.02, -0.04, 0), (0, 0, 0, 1)),
@@ -99,7 +101,7 @@ LINKS = [
 
 
 def call_or_get_error(read, *arguments, **options):
-    """What a function returns, or the one sentence of its error, which names the file."""
+    """Call a function; return its result, or the message of its error."""
     try:
         return read(*arguments, **options)
     except InputError as error:
@@ -107,12 +109,12 @@ def call_or_get_error(read, *arguments, **options):
 
 
 def list_warnings(scan: Scan) -> list[str]:
-    """Return what is told of the recording, beside that one frame alone needs no pose."""
+    """List the warnings of a recording, except the one for a single frame without a pose."""
     return [str(one) for one in scan.diagnostics if one.code != POSE_ASSUMED.name]
 
 
 def summarise_scan(file):
-    """Sums of the scan's readable frames, and the number of its warnings; None where it is refused."""
+    """Sum the readable frames of a scan and count its warnings; None for an unreadable scan."""
     scan = call_or_get_error(read_scan, file, complete=False)
     if isinstance(scan, str):
         assert str(file) in scan

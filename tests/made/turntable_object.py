@@ -16,10 +16,10 @@ from scanloom.stages.scans.model.scan import Camera, Frame
 Floats = NDArray[np.float64]
 
 CAMERA = Camera(320, 240, 290.0, 290.0, 159.5, 119.5)
-PLATE = 0.17  # radius of the plate, whose top is z = 0, metres
-TABLE = -0.015  # height of the table's top
-WALL = 0.55  # distance of the wall behind the plate's middle
-# The box: its middle and half its sides; the ball: its middle and its radius. Both off the axis.
+PLATE = 0.17  # radius of the turntable's plate, whose top is at z = 0, metres
+TABLE = -0.015  # height of the table below the plate, metres
+WALL = 0.55  # distance of the wall behind the plate's centre, metres
+# Centre and half sides of the box; centre and radius of the ball. Both are off the axis.
 BOX = np.array((0.03, -0.02, 0.05)), np.array((0.06, 0.04, 0.05))
 BALL = np.array((-0.05, 0.04, 0.045)), 0.045
 _WALL, _TABLE, _PLATE, _THING = range(4)
@@ -33,7 +33,7 @@ def _make_noise() -> Floats:
 
 @cache
 def _make_dots() -> Floats:
-    """Return where dots (n, 2) are on the plate: all around, at distances of their own."""
+    """Draw dots (n, 2) all around the plate at varying radii."""
     draw = np.random.default_rng(3)
     angles = np.sort(draw.uniform(0, 2 * np.pi, 26))
     radii = draw.uniform(0.10, 0.16, 26)
@@ -41,7 +41,7 @@ def _make_dots() -> Floats:
 
 
 def camera_pose() -> Floats:
-    """World-from-camera of the camera: 0.6 m away, 30° above the plate."""
+    """Compute the world-from-camera pose of the camera, 0.6 m away and 30° above the plate."""
     tilt = np.radians(30)
     back = np.array((0.0, -np.cos(tilt), np.sin(tilt)))
     x = np.array((1.0, 0.0, 0.0))
@@ -52,7 +52,7 @@ def camera_pose() -> Floats:
 
 
 def make_object_pose(angle: float) -> Floats:
-    """World-from-thing after the plate has turned by so many degrees."""
+    """Compute world-from-object after the plate has turned by an angle in degrees."""
     a = np.radians(angle)
     pose = np.eye(4)
     pose[:2, :2] = ((np.cos(a), -np.sin(a)), (np.sin(a), np.cos(a)))
@@ -62,7 +62,7 @@ def make_object_pose(angle: float) -> Floats:
 def render_view(
     angle: float, *, texture: float = 45.0, dots: bool = False
 ) -> tuple[NDArray[np.uint8], Floats, Floats]:
-    """Return the (h, w, 3) image, the (h, w) depth along the axis, and which pixels show what turns.
+    """Render the (h, w, 3) image, the (h, w) depth along the axis, and the mask of turning pixels.
 
     Parameters
     ----------
@@ -112,7 +112,7 @@ def render_view(
 
 
 def frames(angles: list[float], *, noise: float = 0.0015, **look: float) -> list[Frame]:
-    """Return a frame without a pose for each angle of the plate, degrees; noise is a share of the depth."""
+    """Make a frame without a pose for each angle of the plate in degrees; noise is relative to depth."""
     draw = np.random.default_rng(1)
     made = []
     for number, angle in enumerate(angles):

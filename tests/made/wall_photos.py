@@ -14,7 +14,7 @@ CAMERA = Camera(160, 120, 150.0, 150.0, 79.5, 59.5)
 
 
 def paint(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """The colour of the wall z = 0 at places in 0..1, (…, 3) levels: blots of several sizes, and stripes."""
+    """Compute colours (…, 3) of the wall z = 0 at x and y in 0..1: blobs of several sizes, and stripes."""
     red = 128 + 60 * np.sin(9 * x + 2) * np.cos(7 * y) + 30 * np.sin(41 * x)
     green = 120 + 50 * np.cos(12 * x - 5 * y) + 30 * np.sin(37 * y)
     blue = 130 + 70 * np.sin(5 * (x + y)) + 20 * np.cos(53 * x + 11)
@@ -22,7 +22,7 @@ def paint(x: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 
 def wall(n: int = 12, colors: np.ndarray | None = None) -> Mesh:
-    """The unit square in n × n cells, seen from z < 0."""
+    """Make the unit square in n × n cells, visible from z < 0."""
     x, y = np.meshgrid(np.linspace(0, 1, n + 1), np.linspace(0, 1, n + 1))
     vertices = np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], axis=1)
     a = (np.arange(n)[:, None] * (n + 1) + np.arange(n)).ravel()
@@ -31,7 +31,7 @@ def wall(n: int = 12, colors: np.ndarray | None = None) -> Mesh:
 
 
 def pose(x: float, y: float, z: float = -0.8, turn: float = 0.0) -> np.ndarray:
-    """World from a camera at a place that looks along z, turned about y by some degrees."""
+    """Compute world-from-camera of a camera that faces along z, turned about y by degrees."""
     c, s = np.cos(np.radians(turn)), np.sin(np.radians(turn))
     found = np.eye(4)
     found[:3, :3] = [[c, 0, s], [0, 1, 0], [-s, 0, c]]
@@ -42,9 +42,9 @@ def pose(x: float, y: float, z: float = -0.8, turn: float = 0.0) -> np.ndarray:
 def intersect_plane(
     world_from_camera: np.ndarray, z: float = 0.0, turn: np.ndarray | None = None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Places x and y on the plane at z that the pixels show, and their depth.
+    """Intersect pixel rays with the plane at z; return x, y and depth.
 
-    With `turn`, a rotation vector, the camera turns by so much while its rows are read.
+    With `turn`, a rotation vector, the camera turns by this rotation during the readout of its rows.
     """
     v, u = np.mgrid[: CAMERA.height, : CAMERA.width]
     rays = np.stack([(u - CAMERA.cx) / CAMERA.fx, (v - CAMERA.cy) / CAMERA.fy, np.ones(u.shape)], axis=-1)
@@ -59,7 +59,7 @@ def intersect_plane(
 def photo(
     number: int, world_from_camera: np.ndarray, *, with_depth: bool = True, turn: np.ndarray | None = None
 ) -> Frame:
-    """A frame that shows the wall, and black beside it; `turn` see `intersect_plane`."""
+    """Render a frame of the wall on black; `turn` see `intersect_plane`."""
     x, y, depth = intersect_plane(world_from_camera, turn=turn)
     on_wall = (np.minimum(x, y) >= 0) & (np.maximum(x, y) <= 1) & (depth > 0)
     levels = np.where(on_wall[..., None], paint(x, y), 0)
@@ -73,7 +73,7 @@ def photo(
 
 
 def photos(count: int = 12, *, with_depth: bool = True) -> list[Frame]:
-    """Frames from places all along the wall, some of them turned."""
+    """Render frames along the wall, some of them turned."""
     rng = np.random.default_rng(7)
     places = zip(rng.uniform(0.25, 0.75, (count, 2)), rng.uniform(-15, 15, count), strict=True)
     return [
@@ -83,7 +83,10 @@ def photos(count: int = 12, *, with_depth: bool = True) -> list[Frame]:
 
 
 def make_grazing_photo(number: int, z: float = -0.08, turn: float = -80.0) -> Frame:
-    """A frame from beside the wall, so near to its plane that it is seen at 82° and more; grey beside it."""
+    """Render a frame at a grazing angle of 82° or more, on grey.
+
+    The camera is next to the wall and close to its plane.
+    """
     frame = photo(number, pose(1.6, 0.5, z=z, turn=turn))
     assert isinstance(frame.color, np.ndarray)
     shown = frame.color.max(axis=2, keepdims=True) > 0
@@ -91,7 +94,7 @@ def make_grazing_photo(number: int, z: float = -0.08, turn: float = -80.0) -> Fr
 
 
 def change_exposure(frame: Frame, gain: float, bias: float) -> Frame:
-    """The frame as another exposure would show it."""
+    """Apply another exposure to a frame."""
     assert isinstance(frame.color, np.ndarray)
     levels = np.rint(frame.color * gain + bias).clip(0, 255).astype(np.uint8)
     return replace(

@@ -12,7 +12,7 @@ _TOY = Path(__file__).with_name("toy.py")
 
 @pytest.fixture(scope="session")
 def toy() -> ModuleType:
-    """The pipeline of three quick stages in toy.py."""
+    """Import the pipeline of three quick stages in toy.py."""
     spec = importlib.util.spec_from_file_location("toy", _TOY)
     assert spec is not None
     assert spec.loader is not None
@@ -24,14 +24,14 @@ def toy() -> ModuleType:
 
 @pytest.fixture
 def scan(toy: ModuleType, tmp_path: Path) -> Path:
-    """A small scan folder for the toy pipeline."""
+    """Write a small scan folder for the toy pipeline."""
     return toy.write_scan(tmp_path / "scan")
 
 
 @pytest.fixture
 def warnings() -> Iterator[list[str]]:
-    """What is emitted in the test, as texts."""
-    # Not before it is asked for: some runs of these tests change the system that it is imported on.
+    """Collect the diagnostics of the test as texts."""
+    # Imported here because some tests change the platform before the import.
     from scanloom.stages.diagnostics.collector import listen_to_diagnostics
 
     said: list[str] = []
@@ -41,7 +41,7 @@ def warnings() -> Iterator[list[str]]:
 
 @pytest.fixture
 def cache(tmp_path: Path, warnings: list[str]) -> Any:  # noqa: ARG001
-    # Not before it is asked for: some runs of these tests change the system that it is imported on.
+    # Imported here because some tests change the platform before the import.
     from scanloom.pipeline.cache.store import Cache
 
     return Cache(tmp_path / "cache")

@@ -1,8 +1,8 @@
-"""Kill a process at every step it takes in the file system, and look at what it leaves.
+"""Kill a process at every step of file access, and check the files that it leaves.
 
-`python kill_everywhere.py SCAN FOLDER EVERY` works on the toy pipeline and prints how many kills there were.
-A child is forked for each; it kills itself when it is about to make its n-th call that touches a file. With
-`windows` as fourth word the sources take this for Windows.
+`python kill_everywhere.py SCAN FOLDER EVERY` runs on the toy pipeline and prints the number of kills. For
+each kill a child is forked; it kills itself just before its n-th call that touches a file. With the fourth
+word `windows`, Windows is emulated.
 """
 
 import os
@@ -37,13 +37,13 @@ WATCHED = {
 }
 
 
-def contents(out: Path) -> list[bytes | None]:
-    """The results in an output folder, None for those that are not there."""
+def read_contents(out: Path) -> list[bytes | None]:
+    """Read the results in an output folder, None for missing ones."""
     return [(out / name).read_bytes() if (out / name).exists() else None for name in RESULTS]
 
 
-def killed_at(step: int, scan: Path, out: Path) -> bool:
-    """Run with another parameter in a child that dies at its n-th step; return whether it got there."""
+def run_and_kill(step: int, scan: Path, out: Path) -> bool:
+    """Run with another parameter in a child that dies at its n-th step; return False if it ended earlier."""
     child = fork()
     if child == 0:
         left = step
@@ -63,9 +63,9 @@ def killed_at(step: int, scan: Path, out: Path) -> bool:
     return os.WIFSIGNALED(status)
 
 
-def check(scan: Path, out: Path, old: list[bytes], new: list[bytes]) -> None:
-    """What a killed run may leave, and that the next one comes to the right result from there."""
-    left = contents(out)
+def check_killed_run(scan: Path, out: Path, old: list[bytes], new: list[bytes]) -> None:
+    """Check the files of a killed run, and that the next run gives the right result."""
+    left = read_contents(out)
     present = {
         "old" if now == before else "new" if now == after else "broken"
         for now, before, after in zip(left, old, new, strict=True)
@@ -79,13 +79,13 @@ def check(scan: Path, out: Path, old: list[bytes], new: list[bytes]) -> None:
     warnings: list[str] = []
     toy.run(scan, out, "mix.gain=0.25", warnings=warnings)
     assert warnings == []
-    assert contents(out) == new
+    assert read_contents(out) == new
     assert not list((out / "cache" / "drafts").iterdir()), "debris in the cache"
     assert not list(out.rglob("*.part")), "debris in the output folder"
 
 
 def fsync(descriptor: int) -> None:  # noqa: ARG001
-    """A step like the others, but quick: what a killed process has written is not lost with it."""
+    """Count as a step, but without the slow flush: data written by a killed process is not lost."""
     sys.audit("fsync")
 
 
@@ -93,14 +93,14 @@ def main(scan: Path, folder: Path, every: int) -> None:
     os.fsync = fsync
     toy.run(scan, folder / "first")
     toy.run(scan, folder / "reference", "mix.gain=0.25")
-    old, new = contents(folder / "first"), contents(folder / "reference")
+    old, new = read_contents(folder / "first"), read_contents(folder / "reference")
     assert all(a != b for a, b in zip(old, new, strict=True))
     kills = 0
     while True:
         out = folder / "out"
         shutil.copytree(folder / "first", out)
-        killed = killed_at(kills * every, scan, out)
-        check(scan, out, old, new)
+        killed = run_and_kill(kills * every, scan, out)
+        check_killed_run(scan, out, old, new)
         shutil.rmtree(out)
         if not killed:
             break

@@ -1,4 +1,7 @@
-"""A run on a scan whose poses and colour camera are off: found once, kept, written beside, and fused with."""
+"""A run on a scan with inaccurate poses and colour camera:
+
+corrections are computed once, cached, written and used.
+"""
 
 from __future__ import annotations
 
@@ -35,7 +38,7 @@ def config(*more: str) -> Config:
 
 @pytest.fixture(scope="module")
 def disturbed(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return the sample with poses that are off by a centimetre and half a degree."""
+    """Write the sample with pose errors of about 1 cm and 0.5°."""
     folder = tmp_path_factory.mktemp("disturbed") / "scan"
     shutil.copytree(SAMPLE, folder)
     document = json.loads((folder / "scan.json").read_text())
@@ -49,7 +52,7 @@ def disturbed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_adjusted_poses_are_written_beside_kept_and_fused_with(disturbed: Path, tmp_path: Path) -> None:
+def test_adjusted_poses_are_written_cached_and_used_for_fusion(disturbed: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     first = run(disturbed, out, config(), until="fuse")
     assert [outcome.stage for outcome in first.stages] == ["adjust", "fuse"]
@@ -72,7 +75,7 @@ def test_adjusted_poses_are_written_beside_kept_and_fused_with(disturbed: Path, 
         run(disturbed, tmp_path / "no", config("adjust.enabled=false"), until="adjust")
 
 
-def test_exact_poses_go_on_as_they_are(tmp_path: Path) -> None:
+def test_exact_poses_are_unchanged(tmp_path: Path) -> None:
     made = run(SAMPLE, tmp_path / "out", config(), until="adjust")
     assert not made.report["stages"]["adjust"]["metrics"]["accepted"]
     assert not (tmp_path / "out" / "adjusted").exists()
@@ -80,7 +83,7 @@ def test_exact_poses_go_on_as_they_are(tmp_path: Path) -> None:
     assert why.startswith("left as given: colour, depth and poses agree to 0.")
 
 
-def test_what_is_written_gives_the_frames_back_to_the_bit(disturbed: Path, tmp_path: Path) -> None:
+def test_written_cameras_restore_the_frames_bit_for_bit(disturbed: Path, tmp_path: Path) -> None:
     scan = read_scan(disturbed)
     scan = replace(scan, frames=scan.frames[::2])
     found = adjust(scan, camera=True)
@@ -108,7 +111,7 @@ def test_a_depth_correction_is_written_and_read_again(disturbed: Path, tmp_path:
         assert {frame.depth_correction for frame in read.frames} == {correction}
 
 
-def test_turns_that_are_written_come_back_to_their_frames(disturbed: Path, tmp_path: Path) -> None:
+def test_written_shutter_turns_are_read_back(disturbed: Path, tmp_path: Path) -> None:
     scan = read_scan(disturbed)
     scan = replace(scan, frames=scan.frames[:4])
     turns = np.random.default_rng(5).normal(size=(4, 3)) / 50
@@ -126,7 +129,7 @@ def test_turns_that_are_written_come_back_to_their_frames(disturbed: Path, tmp_p
 
 
 @pytest.mark.parametrize("wrong", [[0.1, 0.2], [1, 1, 1], ["x", 0, 0], {"a": 1}, [float("nan"), 0, 0]])
-def test_a_turn_that_is_none_is_told(disturbed: Path, tmp_path: Path, wrong: object) -> None:
+def test_an_invalid_shutter_turn_is_an_error(disturbed: Path, tmp_path: Path, wrong: object) -> None:
     scan = read_scan(disturbed)
     name = scan.frames[0].name
     pose = scan.frames[0].world_from_camera.tolist()
@@ -136,17 +139,17 @@ def test_a_turn_that_is_none_is_told(disturbed: Path, tmp_path: Path, wrong: obj
         apply_adjusted_cameras(scan, tmp_path / "cameras.json")
 
 
-def test_turns_of_nobody_are_told(disturbed: Path, tmp_path: Path) -> None:
+def test_shutter_turns_of_unknown_frames_are_an_error(disturbed: Path, tmp_path: Path) -> None:
     document = {"accepted": True, "names": {}, "poses": {}, "shutter_turns": {"0": [0, 0, 0]}}
     (tmp_path / "cameras.json").write_text(json.dumps(document))
     with pytest.raises(InputError, match="the names of its frames are missing"):
         apply_adjusted_cameras(read_scan(disturbed), tmp_path / "cameras.json")
 
 
-def test_a_colour_camera_alone_is_written_and_comes_back(tmp_path: Path) -> None:
+def test_a_colour_camera_without_poses_is_written_and_read_back(tmp_path: Path) -> None:
     scan = read_scan(SAMPLE)
     moved = [replace(frame, color=np.roll(read_color(frame), 4, axis=1)) for frame in scan.frames]
-    # The first cannot be used, and its own camera is not the one that is found.
+    # The first frame has no pose and is not used; its colour camera differs from the estimated one.
     moved[0] = replace(moved[0], world_from_camera=None, color_from_depth=np.diag([-1.0, -1, 1, 1]))
     found = adjust(moved)
     assert found.accepted

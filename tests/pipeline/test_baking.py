@@ -1,4 +1,4 @@
-"""The optional stage `bake`: what it leaves, and that nothing of it stays when it is left out."""
+"""The optional stage `bake`: its results, and their removal when it is disabled."""
 
 from pathlib import Path
 
@@ -15,12 +15,12 @@ from scanloom.stages.simplification.simplify import simplify
 from scanloom.stages.surface.mesh_files import read_mesh
 
 
-def scan() -> Scan:
+def make_scan() -> Scan:
     return Scan(frames=(), folder=None, layout="none")
 
 
 @pytest.mark.slow
-def test_it_writes_a_glb_that_shows_the_original(tmp_path: Path):
+def test_bake_writes_a_glb_with_the_colours_of_the_original(tmp_path: Path):
     original = sheet(n=20)
     light = simplify(original, ratio=0.1).mesh
     metrics = write_baked(tmp_path, light, original, (0.0, -1.0, 0.0), BakeSection(), ignore_progress)
@@ -31,8 +31,8 @@ def test_it_writes_a_glb_that_shows_the_original(tmp_path: Path):
     assert found.psnr > metrics["vertex_color"]["psnr_db"] + 3
 
 
-def test_it_is_there_if_it_is_enabled():
-    assert "bake.enabled=true" in list_skip_reasons(scan(), Config())["bake"]
-    stages = {stage.name: stage for stage in plan_stages(scan(), Config().set(["bake.enabled=true"]))}
+def test_bake_is_planned_only_if_enabled():
+    assert "bake.enabled=true" in list_skip_reasons(make_scan(), Config())["bake"]
+    stages = {stage.name: stage for stage in plan_stages(make_scan(), Config().set(["bake.enabled=true"]))}
     assert stages["bake"].input_names == ("refined_mesh", "simplified_mesh", "up_direction")
-    assert "bake" not in {stage.name for stage in plan_stages(scan(), Config())}
+    assert "bake" not in {stage.name for stage in plan_stages(make_scan(), Config())}

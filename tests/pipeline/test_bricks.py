@@ -1,4 +1,7 @@
-"""A run over bricks: kept one by one, fused again where a frame is new, and large results piece by piece."""
+"""A run over bricks:
+
+bricks are cached one by one, new frames rebuild only their bricks, large results are chunked.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +25,8 @@ from scanloom.stages.surface.formats.ply import read_ply
 from scanloom.stages.surface.topology import topology
 
 SAMPLE = Path(__file__).resolve().parents[2] / "samples" / "rgbd"
-# All that would be derived of the frames together is given: a frame more changes no brick it does not touch.
+# All parameters that would be derived from all frames are given, so a new frame only changes the bricks it
+# touches.
 QUICK = (
     "adjust.enabled=false",
     "texture.enabled=false",
@@ -33,16 +37,16 @@ QUICK = (
 )
 
 
-def metrics(scan: Path, out: Path, *more: str, until: str = "fuse") -> dict[str, Any]:
+def run_and_get_metrics(scan: Path, out: Path, *more: str, until: str = "fuse") -> dict[str, Any]:
     result = run(scan, out, Config().set([*QUICK, *more]), until=until, cache_dir=f"{out}-cache")
     stages: Any = result.report["stages"]
     return {name: stage["metrics"] for name, stage in stages.items()}
 
 
 @pytest.mark.slow
-def test_a_killed_run_goes_on_where_it_was(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_killed_run_resumes_with_its_cached_bricks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     scan = write_partial_sample(tmp_path / "scan", list(range(0, 24, 6)))
-    quiet = metrics(scan, tmp_path / "quiet")["fuse"]
+    quiet = run_and_get_metrics(scan, tmp_path / "quiet")["fuse"]
     assert quiet["bricks"] == quiet["bricks_fused"] > 10
 
     from scanloom.pipeline.artifacts import fused_bricks as bricks
@@ -57,22 +61,22 @@ def test_a_killed_run_goes_on_where_it_was(tmp_path: Path, monkeypatch: pytest.M
 
     monkeypatch.setattr(bricks.CachedBrickStore, "store", some)
     with pytest.raises(StageError, match="killed"):
-        metrics(scan, tmp_path / "out")
+        run_and_get_metrics(scan, tmp_path / "out")
     monkeypatch.setattr(bricks.CachedBrickStore, "store", store)
-    again = metrics(scan, tmp_path / "out")["fuse"]
+    again = run_and_get_metrics(scan, tmp_path / "out")["fuse"]
     assert again["bricks_fused"] == quiet["bricks"] - 7
     assert (tmp_path / "out" / "fused.ply").read_bytes() == (tmp_path / "quiet" / "fused.ply").read_bytes()
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("how", ["gone", "another"])
-def test_no_brick_is_kept_of_a_frame_that_changed_meanwhile(
+def test_bricks_of_frames_that_change_during_the_run_are_not_cached(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, how: str
 ) -> None:
-    # In several passes, so that frames are read after bricks were kept.
+    # Several passes, so that frames are read after the first bricks were cached.
     tight = ("fuse.memory=1", "fuse.voxel_size=0.01", "fuse.max_skipped_ratio=0.9")
     scan = write_partial_sample(tmp_path / "scan", list(range(0, 24, 6)))
-    quiet = metrics(scan, tmp_path / "quiet", *tight)["fuse"]
+    quiet = run_and_get_metrics(scan, tmp_path / "quiet", *tight)["fuse"]
     first, _, third, _ = (Path(str(frame.depth)) for frame in read_scan(scan).frames)
 
     from scanloom.pipeline.artifacts import fused_bricks as bricks
@@ -89,18 +93,18 @@ def test_no_brick_is_kept_of_a_frame_that_changed_meanwhile(
 
     monkeypatch.setattr(bricks.CachedBrickStore, "store", until_it_changes)
     with pytest.raises(StageError, match=r"0012\.png changed while it was being read; run again"):
-        metrics(scan, tmp_path / "out", *tight)
+        run_and_get_metrics(scan, tmp_path / "out", *tight)
     monkeypatch.setattr(bricks.CachedBrickStore, "store", store)
     third.write_bytes(whole)
-    again = metrics(scan, tmp_path / "out", *tight)["fuse"]
+    again = run_and_get_metrics(scan, tmp_path / "out", *tight)["fuse"]
     assert 0 < again["bricks_fused"] < again["bricks"] == quiet["bricks"]
     assert (tmp_path / "out" / "fused.ply").read_bytes() == (tmp_path / "quiet" / "fused.ply").read_bytes()
 
 
 @pytest.mark.slow
-def test_a_brick_that_is_damaged_is_made_anew(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_damaged_brick_is_fused_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     scan, out = write_partial_sample(tmp_path / "scan", list(range(0, 24, 6))), tmp_path / "out"
-    quiet = metrics(scan, out)["fuse"]
+    quiet = run_and_get_metrics(scan, out)["fuse"]
     before = (out / "fused.ply").read_bytes()
     kept = tmp_path / "out-cache"
 
@@ -109,7 +113,7 @@ def test_a_brick_that_is_damaged_is_made_anew(tmp_path: Path, monkeypatch: pytes
         assert (out / "fused.ply").read_bytes() == before
         return int(fused.metrics["bricks_fused"])
 
-    # Before it is looked for, each of its files in its own way.
+    # Damage before the lookup, a different one for each of the files.
     shutil.rmtree(kept / "fuse")
     hurt = sorted((kept / "brick").iterdir())[:3]
     (hurt[0] / "surface.npz").write_bytes(b"")
@@ -117,7 +121,7 @@ def test_a_brick_that_is_damaged_is_made_anew(tmp_path: Path, monkeypatch: pytes
     (hurt[2] / "skipped.json").write_text("{ }")
     assert again() == 3
 
-    # After it was found, where only what it holds can tell.
+    # Damage after the lookup, detectable only by content.
     from scanloom.pipeline.artifacts import fused_bricks as bricks
 
     get = bricks.CachedBrickStore.get
@@ -139,13 +143,13 @@ def test_a_brick_that_is_damaged_is_made_anew(tmp_path: Path, monkeypatch: pytes
 
 
 @pytest.mark.slow
-def test_a_new_frame_fuses_again_only_what_it_touches(tmp_path: Path) -> None:
-    # What would be derived of all frames together is given.
+def test_a_new_frame_fuses_only_the_bricks_it_touches(tmp_path: Path) -> None:
+    # Parameters that would be derived from all frames are given.
     given = ("fuse.truncation=0.045", "fuse.max_depth=2.2")
     scan = write_partial_sample(tmp_path / "scan", list(range(0, 24, 6)))
     out = tmp_path / "out"
-    first = metrics(scan, out, *given)["fuse"]
-    # It sees a corner of the scene.
+    first = run_and_get_metrics(scan, out, *given)["fuse"]
+    # The new frame shows a corner of the scene.
     frames = [*read_scan(scan).frames]
     new = read_scan(SAMPLE).frames[20]
     depth = cv2.imread(str(new.depth), cv2.IMREAD_UNCHANGED)
@@ -155,19 +159,19 @@ def test_a_new_frame_fuses_again_only_what_it_touches(tmp_path: Path) -> None:
     color = scan / "color" / Path(str(new.color)).name
     frames.append(replace(new, name="new", color=color, depth=scan / "depth" / "new.png"))
     write_scan_json(scan, frames)
-    again = metrics(scan, out, *given)["fuse"]
+    again = run_and_get_metrics(scan, out, *given)["fuse"]
     assert again["frames_used"] == first["frames_used"] + 1
     assert 0 < again["bricks_fused"] < 0.7 * again["bricks"]
-    alone = metrics(scan, tmp_path / "alone", *given)["fuse"]
+    alone = run_and_get_metrics(scan, tmp_path / "alone", *given)["fuse"]
     assert alone["bricks_fused"] == alone["bricks"] == again["bricks"]
     assert (out / "fused.ply").read_bytes() == (tmp_path / "alone" / "fused.ply").read_bytes()
 
 
 @pytest.mark.slow
-def test_large_meshes_go_on_in_pieces_whatever_the_memory(tmp_path: Path) -> None:
+def test_large_meshes_stay_chunked_for_any_memory_limit(tmp_path: Path) -> None:
     scan = write_partial_sample(tmp_path / "scan", list(range(0, 24, 6)))
     ratio = "simplify.ratio=0.2"
-    at_once = metrics(scan, tmp_path / "at-once", ratio, until="simplify")
+    at_once = run_and_get_metrics(scan, tmp_path / "at-once", ratio, until="simplify")
     whole = "fuse.brick_size=none"
     ways = {
         "bricks": ("fuse.brick_size=0.16",),
@@ -177,11 +181,11 @@ def test_large_meshes_go_on_in_pieces_whatever_the_memory(tmp_path: Path) -> Non
     }
     with use_small_chunks():
         for way, settings in ways.items():
-            in_pieces = metrics(scan, tmp_path / way, ratio, *settings, until="simplify")
+            in_pieces = run_and_get_metrics(scan, tmp_path / way, ratio, *settings, until="simplify")
             assert ("bricks" in in_pieces["fuse"]) == (way != "one")
             assert in_pieces["simplify"]["parts"] > 5
         with pytest.raises(StageError, match=r"bake cannot process chunks, and refined\.ply has"):
-            metrics(scan, tmp_path / "one", ratio, "bake.enabled=true", until="bake")
+            run_and_get_metrics(scan, tmp_path / "one", ratio, "bake.enabled=true", until="bake")
     assert in_pieces["simplify"]["triangles"] == pytest.approx(at_once["simplify"]["triangles"], abs=2)
     for name in ("fused.ply", "clean.ply", "refined.ply", "simplified.ply"):
         assert len({(tmp_path / way / name).read_bytes() for way in ways}) == 1

@@ -1,4 +1,4 @@
-"""Entries are whole or absent, damage is noticed, and what is unused goes."""
+"""Cache entries are complete or absent, damage is detected, and unused entries are removed."""
 
 import builtins
 import errno
@@ -26,7 +26,7 @@ from scanloom.stages.diagnostics.codes import MACHINE_BUG
 from scanloom.stages.diagnostics.errors import StageError
 
 
-def test_entry_comes_back_as_it_was_stored(cache):
+def test_an_entry_is_returned_as_stored(cache):
     assert cache.get(RECIPE) is None
     folder = store_entry(cache)
     entry = cache.get(RECIPE)
@@ -40,7 +40,7 @@ def test_entry_comes_back_as_it_was_stored(cache):
     assert list_drafts(cache) == []
 
 
-def test_content_digest_is_of_the_files_alone(cache):
+def test_the_content_digest_covers_only_the_files(cache):
     def later(folder):
         return {**write_result(folder), "made": {"seconds": 99}}
 
@@ -50,7 +50,7 @@ def test_content_digest_is_of_the_files_alone(cache):
     assert first.key != other.key
 
 
-def test_looking_up_makes_nothing(tmp_path):
+def test_a_lookup_creates_no_files(tmp_path):
     cache = Cache(tmp_path / "none")
     assert cache.get(RECIPE) is None
     assert cache.ls() == cache.verify() == cache.prune() == []
@@ -58,35 +58,35 @@ def test_looking_up_makes_nothing(tmp_path):
 
 
 @pytest.mark.parametrize("error", [RuntimeError, KeyboardInterrupt, SystemExit])
-def test_failing_stage_leaves_nothing(cache, error):
-    def break_off(folder):
+def test_a_failing_stage_leaves_no_entry(cache, error):
+    def fail_midway(folder):
         write_result(folder)
         raise error
 
     with pytest.raises(error):
-        cache.store(RECIPE, break_off)
+        cache.store(RECIPE, fail_midway)
     assert cache.get(RECIPE) is None
     assert list_drafts(cache) == []
 
 
 @pytest.mark.parametrize("when", ["as it is locked", "as its name is known"])
-def test_ctrl_c_as_soon_as_there_is_a_draft_leaves_nothing(cache, monkeypatch, when):
+def test_ctrl_c_after_creating_a_draft_leaves_no_files(cache, monkeypatch, when):
     take_lock = cache_module.take_lock
 
     def interrupted(path, **how):
         lock = take_lock(path, **how)
         release = lock.release
 
-        def release_and_break_off():
+        def release_and_interrupt():
             release()
             if list_drafts(cache):
                 raise KeyboardInterrupt
 
         is_of_draft = path.name == cache_module.IN_USE_LOCK
         if is_of_draft and when == "as it is locked":
-            release_and_break_off()
+            release_and_interrupt()
         if not is_of_draft and when == "as its name is known":
-            monkeypatch.setattr(lock, "release", release_and_break_off)
+            monkeypatch.setattr(lock, "release", release_and_interrupt)
         return lock
 
     monkeypatch.setattr(cache_module, "take_lock", interrupted)
@@ -97,7 +97,7 @@ def test_ctrl_c_as_soon_as_there_is_a_draft_leaves_nothing(cache, monkeypatch, w
     assert store_entry(cache) is not None
 
 
-def cut_short(path: Path) -> None:
+def truncate_file(path: Path) -> None:
     os.truncate(path, path.stat().st_size // 2)
 
 
@@ -105,20 +105,20 @@ def make_empty(path: Path) -> None:
     path.write_bytes(b"")
 
 
-def become_a_folder(path: Path) -> None:
+def replace_by_folder(path: Path) -> None:
     path.unlink()
     path.mkdir()
 
 
-def become_json(path: Path) -> None:
+def replace_by_json(path: Path) -> None:
     path.write_text("[1, 2]")
 
 
 @pytest.mark.parametrize(
-    "damage", [flip_byte, cut_short, make_empty, Path.unlink, become_a_folder, become_json]
+    "damage", [flip_byte, truncate_file, make_empty, Path.unlink, replace_by_folder, replace_by_json]
 )
 @pytest.mark.parametrize("name", ["fused.ply", "maps/0.bin", "manifest.json"])
-def test_damaged_entry_is_reported_dropped_and_made_anew(cache, warnings, name, damage):
+def test_a_damaged_entry_is_reported_removed_and_computed_again(cache, warnings, name, damage):
     folder = store_entry(cache)
     damage(folder / name)
     [listed] = cache.verify()
@@ -136,7 +136,7 @@ def test_damaged_entry_is_reported_dropped_and_made_anew(cache, warnings, name, 
 
 
 @pytest.mark.parametrize("position", range(0, 1000, 37))
-def test_any_flipped_byte_of_the_manifest_is_noticed(cache, warnings, position):
+def test_any_flipped_byte_of_the_manifest_is_detected(cache, warnings, position):
     manifest = store_entry(cache) / "manifest.json"
     data = bytearray(manifest.read_bytes())
     data[position % len(data)] ^= 0x01
@@ -144,7 +144,7 @@ def test_any_flipped_byte_of_the_manifest_is_noticed(cache, warnings, position):
     same = changed == json.loads(manifest.read_bytes())
     manifest.write_bytes(data)
     entry = cache.get(RECIPE)
-    # A changed blank between two values changes nothing that is said.
+    # A changed blank between two values does not change the content.
     assert (entry is not None) == same
     assert bool(warnings) != same
 
@@ -157,7 +157,7 @@ def _is_json(data: bytes) -> bool:
     return True
 
 
-def test_entry_under_another_key_is_no_hit(cache, warnings):
+def test_an_entry_under_another_key_is_not_a_hit(cache, warnings):
     folder = store_entry(cache)
     other = Recipe("fuse", {"fuse": 2})
     shutil.copytree(folder, folder.with_name(other.key))
@@ -166,7 +166,7 @@ def test_entry_under_another_key_is_no_hit(cache, warnings):
     assert cache.get(RECIPE) is not None
 
 
-def test_files_a_person_adds_do_no_harm(cache, warnings):
+def test_files_added_by_users_are_ignored(cache, warnings):
     (store_entry(cache) / "notes.txt").write_text("mine")
     assert cache.get(RECIPE) is not None
     assert warnings == []
@@ -174,7 +174,7 @@ def test_files_a_person_adds_do_no_harm(cache, warnings):
 
 @pytest.mark.parametrize("code", [errno.ENOSPC, errno.EDQUOT])
 @pytest.mark.parametrize("nth", range(1, 4 if ON_WINDOWS else 5))
-def test_full_disk_is_one_sentence_and_leaves_nothing(cache, monkeypatch, code, nth):
+def test_a_full_disk_is_one_sentence_and_leaves_no_entry(cache, monkeypatch, code, nth):
     calls = []
 
     def refuse(*arguments):
@@ -232,16 +232,16 @@ def test_listing_names_size_parameters_and_use(cache, tmp_path):
     assert abs(fuse.last_used.timestamp() - time.time()) < 60
 
 
-def recipes(cache: Cache) -> list[Recipe]:
-    """Three entries, the first unused for longest."""
+def store_three_entries(cache: Cache) -> list[Recipe]:
+    """Store three entries; the first is unused for the longest time."""
     made = [Recipe("fuse", {"fuse": version}) for version in (1, 2, 3)]
     for i, recipe in enumerate(made):
         os.utime(store_entry(cache, recipe) / "in-use.lock", (1000 + i, 1000 + i))
     return made
 
 
-def test_prune_removes_what_no_latest_run_used(cache, tmp_path):
-    first, second, third = recipes(cache)
+def test_prune_removes_entries_unused_by_latest_runs(cache, tmp_path):
+    first, second, third = store_three_entries(cache)
     (tmp_path / "out").mkdir()
     cache.record_run(tmp_path / "out", {"keys": [second.key]})
     cache.record_run(tmp_path / "deleted", {"keys": [third.key]})
@@ -252,8 +252,8 @@ def test_prune_removes_what_no_latest_run_used(cache, tmp_path):
 
 
 def test_prune_by_age_and_by_size(cache):
-    first, second, third = recipes(cache)
-    cache.get(third).close()  # looking it up makes it young
+    first, second, third = store_three_entries(cache)
+    cache.get(third).close()  # the lookup updates its time of use
     assert {e.key for e in cache.prune(unused=False, older_than=3600)} == {first.key, second.key}
     store_entry(cache, second)
     size = cache.ls()[0].size
@@ -262,7 +262,7 @@ def test_prune_by_age_and_by_size(cache):
     assert cache.prune(unused=False, max_size=size + 1) == []
 
 
-def test_unreadable_record_of_a_run_counts_as_none(cache, tmp_path):
+def test_an_unreadable_record_of_a_run_is_ignored(cache, tmp_path):
     cache.record_run(tmp_path, {"keys": [RECIPE.key]})
     [record] = (cache.folder / "runs").iterdir()
     for text in ("", "{", "[]", "{}", '{"out": 1, "keys": 2}'):
@@ -271,8 +271,8 @@ def test_unreadable_record_of_a_run_counts_as_none(cache, tmp_path):
         assert cache.ls() == []
 
 
-def test_writing_never_happens_in_an_entrys_place(cache, monkeypatch):
-    """No file below a stage's folder is ever opened for writing, but for locks."""
+def test_entries_are_never_written_in_place(cache, monkeypatch):
+    """No file inside a stage's folder is opened for writing, except locks."""
     opened = []
     real = builtins.open
 
@@ -287,8 +287,8 @@ def test_writing_never_happens_in_an_entrys_place(cache, monkeypatch):
     assert all("drafts" in path.parts for path in opened if path.parent != cache.folder)
 
 
-def test_limit_takes_the_longest_unused_and_never_what_a_latest_run_used(cache, warnings, tmp_path):
-    first, second, third = recipes(cache)
+def test_the_limit_removes_oldest_entries_except_those_of_latest_runs(cache, warnings, tmp_path):
+    first, second, third = store_three_entries(cache)
     (tmp_path / "out").mkdir()
     cache.record_run(tmp_path / "out", {"keys": [first.key]})
     size = cache.ls()[0].size
@@ -301,7 +301,7 @@ def test_limit_takes_the_longest_unused_and_never_what_a_latest_run_used(cache, 
     assert second.key not in {entry.key for entry in cache.ls()}
 
 
-def test_entry_in_use_is_not_taken_for_its_size(cache):
+def test_the_limit_keeps_entries_in_use(cache):
     entry = cache.store(RECIPE, write_result)
     cache.limit_size(0)
     assert [listed.key for listed in cache.ls()] == [entry.key]

@@ -1,4 +1,4 @@
-"""What stands in the place of an entry or a lock, where links lead, and what may not be written."""
+"""Unexpected files, links and read-only folders at the paths of cache entries and locks."""
 
 import errno
 import os
@@ -11,52 +11,52 @@ from scanloom.pipeline.cache.entry import Recipe
 from scanloom.stages.diagnostics.errors import StageError
 
 
-def what_is_outside(tmp_path: Path) -> Path:
-    """A folder that is none of the cache's, with a file in it."""
+def make_outside_folder(tmp_path: Path) -> Path:
+    """Make a folder outside the cache with a file in it."""
     outside = tmp_path / "outside"
     outside.mkdir()
     (outside / "file").write_bytes(b"mine")
     return outside
 
 
-def untouched(outside: Path) -> bool:
+def is_untouched(outside: Path) -> bool:
     return {path.name: path.read_bytes() for path in outside.iterdir()} == {"file": b"mine"}
 
 
-def become_a_file(path: Path, outside: Path) -> None:  # noqa: ARG001
+def make_file(path: Path, outside: Path) -> None:  # noqa: ARG001
     path.write_bytes(b"x")
 
 
-def lead_nowhere(path: Path, outside: Path) -> None:
+def make_broken_link(path: Path, outside: Path) -> None:
     path.symlink_to(outside / "none")
 
 
-def lead_to_a_file(path: Path, outside: Path) -> None:
+def make_link_to_file(path: Path, outside: Path) -> None:
     path.symlink_to(outside / "file")
 
 
-def lead_to_a_folder(path: Path, outside: Path) -> None:
+def make_link_to_folder(path: Path, outside: Path) -> None:
     path.symlink_to(outside, target_is_directory=True)
 
 
-def become_a_pipe(path: Path, outside: Path) -> None:  # noqa: ARG001
+def make_pipe(path: Path, outside: Path) -> None:  # noqa: ARG001
     os.mkfifo(path)
 
 
-def become_an_empty_folder(path: Path, outside: Path) -> None:  # noqa: ARG001
+def make_empty_folder(path: Path, outside: Path) -> None:  # noqa: ARG001
     path.mkdir()
 
 
-IN_THE_WAY = [become_a_file, lead_nowhere, lead_to_a_file, lead_to_a_folder]
+IN_THE_WAY = [make_file, make_broken_link, make_link_to_file, make_link_to_folder]
 if not ON_WINDOWS:
-    IN_THE_WAY.append(become_a_pipe)
+    IN_THE_WAY.append(make_pipe)
 
 
 @pytest.mark.parametrize("become", IN_THE_WAY)
 @pytest.mark.parametrize("looked_up", [False, True])
-def test_what_is_no_folder_in_an_entrys_place_is_removed(cache, warnings, tmp_path, become, looked_up):
-    """A file there was no hit and kept the new entry out, for ever."""
-    outside = what_is_outside(tmp_path)
+def test_other_files_at_the_path_of_an_entry_are_removed(cache, warnings, tmp_path, become, looked_up):
+    """A file at the path of an entry once blocked the new entry permanently."""
+    outside = make_outside_folder(tmp_path)
     place = cache.folder / "fuse" / RECIPE.key
     place.parent.mkdir(parents=True)
     become(place, outside)
@@ -67,13 +67,13 @@ def test_what_is_no_folder_in_an_entrys_place_is_removed(cache, warnings, tmp_pa
     assert store_entry(cache) == place
     assert "was not a folder; it is removed" in warnings[0]
     assert cache.get(RECIPE) is not None
-    assert untouched(outside)
+    assert is_untouched(outside)
 
 
-@pytest.mark.parametrize("become", [*IN_THE_WAY[1:], become_an_empty_folder])
+@pytest.mark.parametrize("become", [*IN_THE_WAY[1:], make_empty_folder])
 @pytest.mark.parametrize("name", ["names.lock", f"fuse/{RECIPE.key}/in-use.lock"])
-def test_what_is_no_file_in_a_locks_place_is_removed_and_not_followed(cache, tmp_path, name, become):
-    outside = what_is_outside(tmp_path)
+def test_other_files_at_the_path_of_a_lock_are_removed_and_not_followed(cache, tmp_path, name, become):
+    outside = make_outside_folder(tmp_path)
     store_entry(cache)
     (cache.folder / name).unlink()
     become(cache.folder / name, outside)
@@ -81,10 +81,10 @@ def test_what_is_no_file_in_a_locks_place_is_removed_and_not_followed(cache, tmp
     assert entry is not None
     assert (cache.folder / name).is_file()
     assert not (cache.folder / name).is_symlink()
-    assert untouched(outside)
+    assert is_untouched(outside)
 
 
-def test_folder_with_something_in_it_in_a_locks_place_is_one_sentence(cache):
+def test_a_non_empty_folder_at_the_path_of_a_lock_is_one_sentence(cache):
     store_entry(cache)
     (cache.folder / "names.lock").unlink()
     (cache.folder / "names.lock" / "mine").mkdir(parents=True)
@@ -93,31 +93,31 @@ def test_folder_with_something_in_it_in_a_locks_place_is_one_sentence(cache):
     assert (cache.folder / "names.lock" / "mine").is_dir()
 
 
-@pytest.mark.parametrize("become", [*IN_THE_WAY[1:], become_an_empty_folder])
-def test_lock_of_an_output_folder_is_healed(cache, tmp_path, become):
-    outside = what_is_outside(tmp_path)
+@pytest.mark.parametrize("become", [*IN_THE_WAY[1:], make_empty_folder])
+def test_the_lock_of_an_output_folder_is_repaired(cache, tmp_path, become):
+    outside = make_outside_folder(tmp_path)
     cache.lock_output_folder(tmp_path / "out", lambda: None).release()
     [lock] = (cache.folder / "runs").glob("*.lock")
     lock.unlink()
     become(lock, outside)
     cache.lock_output_folder(tmp_path / "out", lambda: None).release()
-    assert untouched(outside)
+    assert is_untouched(outside)
 
 
 @pytest.mark.parametrize("become", IN_THE_WAY)
 @pytest.mark.parametrize("name", ["fuse", "drafts", "runs"])
-def test_folders_of_the_cache_that_lead_elsewhere_are_refused(cache, tmp_path, name, become):
-    outside = what_is_outside(tmp_path)
+def test_linked_folders_in_the_cache_are_refused(cache, tmp_path, name, become):
+    outside = make_outside_folder(tmp_path)
     cache.folder.mkdir()
     become(cache.folder / name, outside)
     with pytest.raises(StageError, match=rf"/{name}: a folder of the cache is expected here.*; remove it"):
         store_entry(cache)
     assert cache.ls() == []
     cache.remove_abandoned()
-    assert untouched(outside)
+    assert is_untouched(outside)
 
 
-def test_files_of_an_entry_that_lead_elsewhere_are_damage(cache, warnings, tmp_path):
+def test_linked_files_in_an_entry_are_damage(cache, warnings, tmp_path):
     for name, other in (("fused.ply", "file"), ("maps", "folder")):
         folder = store_entry(cache)
         moved = tmp_path / f"moved-{other}"
@@ -128,19 +128,19 @@ def test_files_of_an_entry_that_lead_elsewhere_are_damage(cache, warnings, tmp_p
         assert moved.exists()
 
 
-def test_marks_and_drafts_are_not_followed(cache, tmp_path):
-    outside = what_is_outside(tmp_path)
+def test_links_at_marks_and_drafts_are_not_followed(cache, tmp_path):
+    outside = make_outside_folder(tmp_path)
     (cache.folder / "drafts").mkdir(parents=True)
     (cache.folder / "CACHEDIR.TAG").symlink_to(outside / "none")
     (cache.folder / "drafts" / "fuse-abc").symlink_to(outside, target_is_directory=True)
     store_entry(cache)
     cache.remove_abandoned()
-    assert untouched(outside)
+    assert is_untouched(outside)
 
 
 @pytest.fixture
 def read_only(cache, monkeypatch) -> None:
-    """Have the system refuse what it refuses below the cache's folder on a disk that is mounted read-only."""
+    """Make the system refuse writing to the cache's folder, like a disk that is mounted read-only."""
 
     def refusing(real, writes):
         def call(path, *arguments, **options):
@@ -176,7 +176,7 @@ def read_only(cache, monkeypatch) -> None:
     monkeypatch.setattr(os, "utime", utime)
 
 
-def test_cache_that_may_only_be_read_serves_hits(cache, warnings, tmp_path, request):
+def test_a_read_only_cache_serves_hits(cache, warnings, tmp_path, request):
     store_entry(cache)
     (cache.folder / "names.lock").unlink()
     request.getfixturevalue("read_only")

@@ -1,4 +1,4 @@
-"""Processes and machines that use one cache do not harm each other."""
+"""Processes and machines that share a cache do not damage each other's results."""
 
 import errno
 import os
@@ -13,7 +13,7 @@ from scanloom.pipeline.cache.store import Cache
 from scanloom.stages.diagnostics.errors import StageError
 
 
-def test_slower_of_two_makers_uses_the_entry_of_the_faster(cache):
+def test_the_slower_of_two_processes_uses_the_entry_of_the_faster(cache):
     def slow(folder):
         store_entry(Cache(cache.folder))
         (folder / "fused.ply").write_bytes(b"of the slower one")
@@ -24,7 +24,7 @@ def test_slower_of_two_makers_uses_the_entry_of_the_faster(cache):
     assert list_drafts(cache) == []
 
 
-def test_slower_maker_replaces_an_entry_that_is_damaged(cache, warnings):
+def test_the_slower_process_replaces_a_damaged_entry(cache, warnings):
     def slow(folder):
         flip_byte(store_entry(Cache(cache.folder)) / "fused.ply")
         (folder / "fused.ply").write_bytes(b"of the slower one")
@@ -35,7 +35,7 @@ def test_slower_maker_replaces_an_entry_that_is_damaged(cache, warnings):
     assert len(warnings) == 1
 
 
-def test_forced_result_takes_the_place_of_the_old_one(cache):
+def test_a_forced_result_replaces_the_old_one(cache):
     store_entry(cache)
 
     def again(folder):
@@ -59,7 +59,7 @@ def test_entry_in_use_is_not_pruned(cache):
 
 
 @pytest.mark.skipif(ON_WINDOWS, reason="Windows moves nothing that is open")
-def test_entry_replaced_while_it_is_read_stays_until_the_reader_lets_go(cache):
+def test_an_entry_replaced_while_it_is_read_stays_until_released(cache):
     store_entry(cache)
     reader = cache.get(RECIPE)
     with (reader.folder / "fused.ply").open("rb") as file:
@@ -72,7 +72,7 @@ def test_entry_replaced_while_it_is_read_stays_until_the_reader_lets_go(cache):
 
 
 @pytest.mark.skipif(not ON_WINDOWS, reason="elsewhere what is open can be moved")
-def test_entry_that_is_being_read_is_not_replaced_where_open_files_cannot_be_moved(cache):
+def test_an_open_entry_is_not_replaced_if_open_files_cannot_be_moved(cache):
     store_entry(cache)
     reader = cache.get(RECIPE)
     with pytest.raises(StageError, match=r"^the result of fuse cannot be written to the cache"):
@@ -83,7 +83,7 @@ def test_entry_that_is_being_read_is_not_replaced_where_open_files_cannot_be_mov
     store_entry(cache, how=write_result, replace=True)
 
 
-def test_draft_of_a_living_process_is_left_alone_and_of_a_killed_one_removed(cache):
+def test_drafts_of_killed_processes_are_removed_and_others_kept(cache):
     script = (
         "import time; from pathlib import Path\n"
         "from scanloom.pipeline.cache.store import Cache; from scanloom.pipeline.cache.entry import Recipe\n"
@@ -101,8 +101,8 @@ def test_draft_of_a_living_process_is_left_alone_and_of_a_killed_one_removed(cac
     assert cache.ls() == []
 
 
-def test_draft_of_another_machine_is_its_own_matter(cache, monkeypatch):
-    # Its lock may be held where this machine cannot see it.
+def test_drafts_of_other_machines_are_kept(cache, monkeypatch):
+    # Its lock may be held on another machine and invisible here.
     with monkeypatch.context() as patched:
         patched.setattr("scanloom.pipeline.cache.store.get_host_id", lambda: "m00000000")
         cache._create_draft("fuse")[1].release()
@@ -115,14 +115,14 @@ def test_draft_of_another_machine_is_its_own_matter(cache, monkeypatch):
 
 @pytest.mark.skipif(ON_WINDOWS, reason="it has locks")
 @pytest.mark.parametrize("code", [errno.ENOLCK, errno.EOPNOTSUPP])
-def test_a_shared_folder_without_locks_is_used_all_the_same(cache, monkeypatch, code):
+def test_a_shared_folder_without_locks_is_usable(cache, monkeypatch, code):
     def refuse(*_):
         raise OSError(code, os.strerror(code))
 
     monkeypatch.setattr("fcntl.flock", refuse)
     first = store_entry(cache)
     assert cache.get(RECIPE).folder == first
-    # Nobody can say whether somebody is at it.
+    # Without locks it is unknown if another process uses the draft.
     draft, lock = cache._create_draft("fuse")
     lock.release()
     cache.remove_abandoned()
@@ -130,13 +130,13 @@ def test_a_shared_folder_without_locks_is_used_all_the_same(cache, monkeypatch, 
 
 
 @pytest.mark.skipif(ON_WINDOWS, reason="it has locks")
-def test_of_two_that_make_one_entry_without_locks_the_first_has_it(cache, monkeypatch):
+def test_without_locks_the_first_of_two_equal_entries_is_kept(cache, monkeypatch):
     monkeypatch.setattr("fcntl.flock", lambda *_: None)
 
     usual, looks = cache._is_entry, []
 
     def look(place):
-        # The other comes in the moment between the look whether it is there and the move.
+        # The other process stores its entry between the check for existence and the move.
         looks.append(place)
         if len(looks) == 1:
             store_entry(Cache(cache.folder))
@@ -152,7 +152,7 @@ def test_of_two_that_make_one_entry_without_locks_the_first_has_it(cache, monkey
 
 
 @pytest.mark.slow
-def test_two_processes_at_once_make_one_whole_entry_each(toy: ModuleType, scan, tmp_path):
+def test_two_simultaneous_processes_store_complete_entries(toy: ModuleType, scan, tmp_path):
     expected = [outcome.folder.name for outcome in toy.run(scan, tmp_path / "alone")]
     shared = tmp_path / "out"
     processes = [

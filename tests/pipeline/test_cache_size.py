@@ -1,4 +1,4 @@
-"""The limit on the size of a cache: how it is written, and that a run keeps to it."""
+"""The limit on the size of a cache: its notation, and its effect in runs."""
 
 from __future__ import annotations
 
@@ -21,19 +21,19 @@ from scanloom.stages.diagnostics.errors import UsageError
         ("2 kB", 2000),
     ],
 )
-def test_sizes_are_read_as_people_write_them(text: str, size: int) -> None:
+def test_sizes_are_parsed_in_common_notations(text: str, size: int) -> None:
     assert parse_size(text, "max_size") == size
 
 
 @pytest.mark.parametrize(
     "text", ["", "much", "-1 GB", "1e9", "20 GiB", "nan", "9" * 5000, "1 GB 2 MB", "2000000000"]
 )
-def test_other_words_are_one_sentence(text: str) -> None:
+def test_invalid_sizes_are_one_sentence(text: str) -> None:
     with pytest.raises(UsageError, match=r"^max_size is .*; it must be a size such as 500 MB"):
         parse_size(text, "max_size")
 
 
-def test_the_configuration_has_it() -> None:
+def test_the_configuration_has_a_maximum_cache_size() -> None:
     assert Config().cache.max_bytes is None
     assert Config().set(["cache.max_size=20 GB"]).cache.max_bytes == 20_000_000_000
     assert Config.loads('[cache]\nmax_size = "1 TB"').cache == CacheParams(max_size="1 TB")

@@ -1,4 +1,4 @@
-"""The optional stage `coverage`, in a run and after one: its files, the page, and what is refused."""
+"""The optional stage `coverage` during and after a run: files, page, and errors."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def _no_shared_cache(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def make_scan(folder: Path) -> Path:
-    """Write four frames of a wall 1 m away with a pane of black glass in it, 20 × 15 cm."""
+    """Write four frames of a wall 1 m away with a pane of black glass of 20 × 15 cm."""
     folder.mkdir()
     v, u = np.mgrid[0:72, 0:96]
     frames = []
@@ -61,7 +61,7 @@ def make_scan(folder: Path) -> Path:
 
 @pytest.fixture(scope="module")
 def ran(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with a scan, and out/, what a run without the stage left of it."""
+    """Make a folder with a scan and the results of a run without the stage in out/."""
     folder = tmp_path_factory.mktemp("covering")
     run(make_scan(folder / "scan"), folder / "out", Config().set(QUICK))
     return folder
@@ -69,26 +69,26 @@ def ran(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def here(ran: Path, tmp_path: Path) -> Path:
-    """A copy of it, whose record still names the scan that it was made from."""
+    """Copy the folder; the record of the run still refers to the original scan."""
     shutil.copytree(ran, tmp_path / "all", symlinks=True)
     return tmp_path / "all"
 
 
-def names(out: Path) -> list[str]:
+def list_names(out: Path) -> list[str]:
     return sorted(path.name for path in out.iterdir())
 
 
-def worked(result: Any) -> list[str]:
+def list_computed(result: Any) -> list[str]:
     return [outcome.stage for outcome in result.stages if not outcome.cached]
 
 
-def test_after_a_run_only_the_stage_itself_works_and_its_files_stand_in_out(here: Path) -> None:
+def test_after_a_run_only_the_coverage_stage_is_computed(here: Path) -> None:
     out = here / "out"
-    before = names(out)
+    before = list_names(out)
     result = continue_run(out, "coverage", {})
 
-    assert worked(result) == ["coverage"]
-    assert names(out) == sorted([*before, *OWN])
+    assert list_computed(result) == ["coverage"]
+    assert list_names(out) == sorted([*before, *OWN])
     told = json.loads((out / "coverage.json").read_text())
     first = told["places"][0]
     assert first["kind"] == "hole"
@@ -98,10 +98,10 @@ def test_after_a_run_only_the_stage_itself_works_and_its_files_stand_in_out(here
     report = json.loads((out / "report.json").read_text())
     assert report["stages"]["coverage"]["metrics"]["places"] == len(told["places"])
     assert {*report["placed"]["coverage"]} == {*OWN}
-    assert worked(continue_run(out, "coverage", {})) == []
+    assert list_computed(continue_run(out, "coverage", {})) == []
 
 
-def test_the_mesh_tells_what_frames_saw_of_each_vertex(here: Path) -> None:
+def test_the_mesh_has_coverage_values_per_vertex(here: Path) -> None:
     out = here / "out"
     continue_run(out, "coverage", {})
     mesh, clean = read_ply(out / "coverage.ply"), read_ply(out / "refined.ply")
@@ -116,7 +116,7 @@ def test_the_mesh_tells_what_frames_saw_of_each_vertex(here: Path) -> None:
     assert values["angle"][:count][middle].max() < 30
     assert values["pixel"][:count][middle] == pytest.approx(1 / 80, rel=0.15)
     assert (values["mean_angle"] >= values["angle"] - 1e-3).all()
-    # Depth is exact, and the surface as flat as voxels of 1.5 cm leave it.
+    # Depth is exact; the surface is flat within the limits of 1.5 cm voxels.
     assert values["spread"][:count][middle].max() < 0.001
     told = json.loads((out / "coverage.json").read_text())
     assert 0 <= told["spread_median_m"] <= told["spread_95_m"] < 0.02
@@ -124,7 +124,7 @@ def test_the_mesh_tells_what_frames_saw_of_each_vertex(here: Path) -> None:
     assert len(model.triangles) == len(mesh.triangles)
 
 
-def test_the_page_shows_it_and_flies_to_where_one_should_stand(here: Path) -> None:
+def test_the_page_shows_coverage_and_suggested_viewpoints(here: Path) -> None:
     out = here / "out"
     continue_run(out, "coverage", {})
     content = read_page_content((out / "report.html").read_bytes())
@@ -135,7 +135,7 @@ def test_the_page_shows_it_and_flies_to_where_one_should_stand(here: Path) -> No
     scale = look["scale"]
     assert (look["file"], scale["unit"]) == (model["file"], "mm")
     assert sum(scale["shares"]) == pytest.approx(1, abs=1e-3)
-    # What nobody measured, caps of holes among it, stands before the scale begins.
+    # Unmeasured surface, including caps of holes, is below the start of the scale.
     assert scale["shares"][0] > 0
     assert scale["marks"][0] == 0 > scale["low"]
     table = content["tables"][0]
@@ -150,7 +150,7 @@ def test_the_page_shows_it_and_flies_to_where_one_should_stand(here: Path) -> No
     assert table["rows"][0][0] == "hole in the surface"
 
 
-def test_a_page_is_not_made_of_a_list_that_no_run_has_written(here: Path) -> None:
+def test_a_damaged_coverage_list_is_refused_by_the_page(here: Path) -> None:
     from scanloom.pipeline.report.run_page import make_run_page
 
     out = here / "out"
@@ -161,22 +161,22 @@ def test_a_page_is_not_made_of_a_list_that_no_run_has_written(here: Path) -> Non
             make_run_page(out, 5_000_000)
 
 
-def test_other_parameters_work_anew_and_the_next_run_without_takes_it_away(here: Path, ran: Path) -> None:
+def test_other_parameters_recompute_and_a_run_without_coverage_removes_it(here: Path, ran: Path) -> None:
     out = here / "out"
     continue_run(out, "coverage", {})
     page = (out / "report.html").read_bytes()
     fewer = continue_run(out, "coverage", {"max_defects": 1})
 
-    assert worked(fewer) == ["coverage"]
+    assert list_computed(fewer) == ["coverage"]
     assert len(json.loads((out / "coverage.json").read_text())["places"]) == 1
     assert (out / "report.html").read_bytes() != page
     plain = run(ran / "scan", out, Config().set(QUICK))
-    assert worked(plain) == []
-    assert not {*OWN} & {*names(out)}
+    assert list_computed(plain) == []
+    assert not {*OWN} & {*list_names(out)}
     assert b"Gaps to capture again" not in (out / "report.html").read_bytes()
 
 
-def test_a_scan_that_was_moved_is_asked_for_and_then_all_is_cached(here: Path, tmp_path: Path) -> None:
+def test_a_moved_scan_must_be_named_and_then_hits_the_cache(here: Path, tmp_path: Path) -> None:
     made = make_scan(tmp_path / "first")
     run(made, here / "other", Config().set(QUICK), until="refine")
     made.rename(tmp_path / "second")
@@ -184,11 +184,11 @@ def test_a_scan_that_was_moved_is_asked_for_and_then_all_is_cached(here: Path, t
         continue_run(here / "other", "coverage", {})
     found = continue_run(here / "other", "coverage", {}, scan=tmp_path / "second")
 
-    # The run had not come as far as upright.
-    assert worked(found) == ["upright", "simplify", "export", "coverage"]
+    # The first run had ended before upright.
+    assert list_computed(found) == ["upright", "simplify", "export", "coverage"]
 
 
-def test_what_no_run_has_left_is_refused(here: Path, tmp_path: Path) -> None:
+def test_folders_without_a_run_are_refused(here: Path, tmp_path: Path) -> None:
     for path, why in ((tmp_path / "none", "no such folder"), (here / "scan" / "scan.json", "this is a file")):
         with pytest.raises(InputError, match=why):
             continue_run(path, "coverage", {})
@@ -214,7 +214,7 @@ def test_wrong_parameters_are_refused_before_any_work(here: Path) -> None:
         continue_run(here / "out", "coverage", {"max_angle": 100.0})
 
 
-def test_the_record_holds_what_was_asked_for_with_files_in_full(
+def test_the_record_stores_parameters_with_absolute_paths(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -226,7 +226,7 @@ def test_the_record_holds_what_was_asked_for_with_files_in_full(
 
     assert again == asked
     assert again.config.scan.poses == str(tmp_path / "poses.txt")
-    # What only happens to be called as a file there is no file.
+    # The tag family equals a file name but is not a path.
     assert again.config.scan.tag_family == "apriltag-36h11"
     assert again.config.depth.matcher == "auto"
     assert again.config.coverage.max_angle == 60
@@ -239,7 +239,7 @@ def test_the_record_holds_what_was_asked_for_with_files_in_full(
         assert RunRequest.from_record(wrong) is None
 
 
-def test_no_path_of_this_machine_gets_among_the_results(ran: Path) -> None:
+def test_results_contain_no_absolute_paths(ran: Path) -> None:
     record = Cache(ran / "out" / "cache").read_latest_run(ran / "out")
 
     assert record["asked"]["scan"] == str(ran / "scan")

@@ -8,7 +8,7 @@ from scanloom.stages.scans.model.scan import Camera, Frame, Scan, SkippedFrame
 FRAME = Frame("a", Camera(8, 6, 5.0, 5.0, 3.5, 2.5), world_from_camera=np.eye(4))
 
 
-def test_a_scan_of_which_every_pair_was_skipped_is_refused_and_the_first_reason_told(tmp_path):
+def test_a_scan_with_all_pairs_skipped_is_refused_with_the_first_reason(tmp_path):
     measured = [(FRAME, SkippedFrame(name, f"right/{name}.png is no image")) for name in ("a", "b")]
     with pytest.raises(InputError, match=r"for any of 2 frames.*The first, a: right/a.png is no image"):
         write_depth_maps(tmp_path, measured, Scan("made", [FRAME] * 2))

@@ -58,7 +58,7 @@ def test_digests_are_plain_sha256(tmp_path):
     assert compute_digest({"b": 1, "a": None}) == hashlib.sha256(b'{"a":null,"b":1}').hexdigest()
 
 
-def one_frame_scan(folder: Path) -> Scan:
+def make_one_frame_scan(folder: Path) -> Scan:
     (folder / "left.png").write_bytes(b"left")
     (folder / "right.png").write_bytes(b"right")
     rig = StereoRig(CAMERA, CAMERA, np.eye(4), is_rectified=True)
@@ -66,7 +66,7 @@ def one_frame_scan(folder: Path) -> Scan:
     return Scan("toy", [frame], rig)
 
 
-def moved(pose: np.ndarray) -> np.ndarray:
+def shift_pose(pose: np.ndarray) -> np.ndarray:
     other = pose.copy()
     other[0, 3] += 1e-9
     return other
@@ -77,7 +77,7 @@ def moved(pose: np.ndarray) -> np.ndarray:
     [
         lambda f: replace(f, camera=replace(CAMERA, fx=5.1)),
         lambda f: replace(f, camera=replace(CAMERA, distortion=(0.1, 0.0, 0.0, 0.0))),
-        lambda f: replace(f, world_from_camera=moved(f.world_from_camera)),
+        lambda f: replace(f, world_from_camera=shift_pose(f.world_from_camera)),
         lambda f: replace(f, world_from_camera=None),
         lambda f: replace(f, right=None),
         lambda f: replace(f, right=f.color, color=f.right),
@@ -85,16 +85,16 @@ def moved(pose: np.ndarray) -> np.ndarray:
         lambda f: replace(f, depth_missing=(65535,)),
     ],
 )
-def test_what_a_stage_reads_of_a_frame_decides(tmp_path, change):
-    scan = one_frame_scan(tmp_path)
+def test_the_digest_depends_on_frame_data_read_by_stages(tmp_path, change):
+    scan = make_one_frame_scan(tmp_path)
     before = compute_scan_digest(scan)
     after = compute_scan_digest(replace(scan, frames=[change(scan.frames[0])]))
     assert after.digest != before.digest
     assert after.parts["calibration"] == before.parts["calibration"]
 
 
-def test_what_people_are_shown_does_not_decide(tmp_path):
-    scan = one_frame_scan(tmp_path)
+def test_the_digest_ignores_names_and_times(tmp_path):
+    scan = make_one_frame_scan(tmp_path)
     frame = replace(scan.frames[0], name="b", timestamp=12)
     other = replace(
         scan, frames=[frame], layout="other", folder=tmp_path, diagnostics=(MACHINE_BUG.warning("odd"),)
@@ -102,8 +102,8 @@ def test_what_people_are_shown_does_not_decide(tmp_path):
     assert compute_scan_digest(other).digest == compute_scan_digest(scan).digest
 
 
-def test_names_and_times_have_digests_of_their_own(tmp_path):
-    scan = one_frame_scan(tmp_path)
+def test_names_and_times_have_separate_digests(tmp_path):
+    scan = make_one_frame_scan(tmp_path)
     frame = scan.frames[0]
     before = compute_label_digests(scan)
     later = compute_label_digests(replace(scan, frames=[replace(frame, timestamp=12)]))
@@ -115,17 +115,17 @@ def test_names_and_times_have_digests_of_their_own(tmp_path):
         assert renamed["times"] == before["times"]
 
 
-def test_names_are_those_within_the_scan(tmp_path):
+def test_names_are_relative_to_the_scan(tmp_path):
     def of(folder):
         folder.mkdir()
-        return compute_label_digests(replace(one_frame_scan(folder), folder=folder))
+        return compute_label_digests(replace(make_one_frame_scan(folder), folder=folder))
 
     assert of(tmp_path / "here") == of(tmp_path / "there")
 
 
-def test_the_rig_decides(tmp_path):
-    scan = one_frame_scan(tmp_path)
-    other = replace(scan, rig=replace(scan.rig, right_from_left=moved(np.eye(4))))
+def test_the_digest_depends_on_the_rig(tmp_path):
+    scan = make_one_frame_scan(tmp_path)
+    other = replace(scan, rig=replace(scan.rig, right_from_left=shift_pose(np.eye(4))))
     assert compute_scan_digest(other).digest != compute_scan_digest(scan).digest
     assert (
         compute_scan_digest(replace(scan, rig=replace(scan.rig, is_rectified=False))).digest
@@ -133,7 +133,7 @@ def test_the_rig_decides(tmp_path):
     )
 
 
-def test_arrays_in_memory_count_by_content():
+def test_arrays_in_memory_are_digested_by_content():
     def of(depth):
         return compute_scan_digest(Scan("toy", [Frame("a", CAMERA, depth=depth)])).digest
 
@@ -144,15 +144,15 @@ def test_arrays_in_memory_count_by_content():
     assert of(depth) != of(depth.reshape(4, 3))
 
 
-def test_unreadable_file_is_a_content_of_its_own(tmp_path):
-    scan = one_frame_scan(tmp_path)
+def test_an_unreadable_file_has_a_separate_digest(tmp_path):
+    scan = make_one_frame_scan(tmp_path)
     whole = compute_scan_digest(scan).digest
     (tmp_path / "left.png").unlink()
     assert compute_scan_digest(scan).digest != whole
 
 
-def test_file_written_to_while_it_is_read_is_noticed(tmp_path):
-    scan = one_frame_scan(tmp_path)
+def test_a_file_that_changes_while_it_is_read_is_detected(tmp_path):
+    scan = make_one_frame_scan(tmp_path)
     content = compute_scan_digest(scan)
     (tmp_path / "left.png").touch()
     content.require_unchanged()

@@ -1,4 +1,4 @@
-"""What a run would do is said without writing anything, and is what the run then does."""
+"""A dry run writes no files and predicts exactly the actions of the run."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ def config(*more: str) -> Config:
     return Config().set([*QUICK, *more])
 
 
-def traces(folder: Path) -> dict[str, tuple[int, int, int]]:
-    """Name, size, place and time of everything in a folder."""
+def list_file_states(folder: Path) -> dict[str, tuple[int, int, int]]:
+    """List size, inode and time of all files in a folder, by name."""
     return {
         str(path): (found.st_size, found.st_ino, found.st_mtime_ns)
         for path in sorted([folder, *folder.rglob("*")])
@@ -39,14 +39,14 @@ def traces(folder: Path) -> dict[str, tuple[int, int, int]]:
     }
 
 
-def cached(found: DryRun) -> dict[str, bool]:
+def get_cached_by_stage(found: DryRun) -> dict[str, bool]:
     return {one.stage: one.cached for one in found.stages}
 
 
-def test_nothing_is_written_where_nothing_is(tmp_path: Path) -> None:
+def test_a_dry_run_creates_no_folder(tmp_path: Path) -> None:
     found = predict_run(SCAN, tmp_path / "out", config())
     assert list(tmp_path.iterdir()) == []
-    assert cached(found) == dict.fromkeys(
+    assert get_cached_by_stage(found) == dict.fromkeys(
         ("adjust", "fuse", "clean", "refine", "upright", "simplify", "export", "report"), False
     )
     assert [one.reason for one in found.stages] == ["first run"] * 8
@@ -56,7 +56,7 @@ def test_nothing_is_written_where_nothing_is(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_what_is_foreseen_is_what_the_run_does(tmp_path: Path) -> None:
+def test_the_run_does_what_the_dry_run_predicted(tmp_path: Path) -> None:
     out = tmp_path / "out"
     run(SCAN, out, config())
     for more, reasons in (
@@ -82,18 +82,18 @@ def test_what_is_foreseen_is_what_the_run_does(tmp_path: Path) -> None:
             },
         ),
     ):
-        before = traces(tmp_path)
+        before = list_file_states(tmp_path)
         found = predict_run(SCAN, out, config(*more))
-        assert traces(tmp_path) == before
+        assert list_file_states(tmp_path) == before
         assert {one.stage: one.reason for one in found.stages if not one.cached} == reasons
         bases = [one.estimate.basis for one in found.stages if one.estimate is not None]
         assert set(bases) <= {"measured", "scaled"}
         did = run(SCAN, out, config(*more))
-        assert {outcome.stage: outcome.cached for outcome in did.stages} == cached(found)
+        assert {outcome.stage: outcome.cached for outcome in did.stages} == get_cached_by_stage(found)
 
 
 @pytest.mark.slow
-def test_what_is_forced_damaged_or_in_the_way_is_foreseen(tmp_path: Path) -> None:
+def test_forced_stages_damage_and_foreign_files_are_predicted(tmp_path: Path) -> None:
     out = tmp_path / "out"
     run(SCAN, out, config(), until="clean")
     forced = predict_run(SCAN, out, config(), until="clean", force=("fuse",))
@@ -102,9 +102,9 @@ def test_what_is_forced_damaged_or_in_the_way_is_foreseen(tmp_path: Path) -> Non
     (entry,) = (out / "cache" / "clean").iterdir()
     (entry / "clean.ply").write_bytes(b"ply")
     (out / "simplified.ply").write_text("mine")
-    before = traces(tmp_path)
+    before = list_file_states(tmp_path)
     found = predict_run(SCAN, out, config())
-    assert traces(tmp_path) == before
+    assert list_file_states(tmp_path) == before
     assert [one.cached for one in found.stages] == [True, True, False, False, False, False, False, False]
     assert found.stages[2].reason.startswith("cached result damaged: clean.ply")
     assert found.refusal_reason is not None
@@ -113,12 +113,12 @@ def test_what_is_forced_damaged_or_in_the_way_is_foreseen(tmp_path: Path) -> Non
     assert predict_run(SCAN, out, config(), until="clean").refusal_reason is None
 
 
-def test_what_is_wrong_is_said_as_by_the_run(tmp_path: Path) -> None:
+def test_a_dry_run_reports_the_errors_of_the_run(tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="did you mean clean"):
         predict_run(SCAN, tmp_path / "out", config(), until="cleen")
 
 
-def test_an_expectation_grows_with_the_scan() -> None:
+def test_estimates_grow_with_the_scan() -> None:
     made = {"seconds": 10.0, "peak_memory_bytes": BASE_BYTES + 1000, "megapixels": 2.0}
     known = [{"recipe": {"stage": "fuse", "inputs": {"frames": "a"}}, "made": made}]
     measured = estimate_cost("fuse", 2.0, {"frames": "a"}, known, CostModel())
@@ -129,12 +129,12 @@ def test_an_expectation_grows_with_the_scan() -> None:
     guessed = estimate_cost("clean", 10.0, None, known, cost)
     assert (guessed.seconds, guessed.memory_bytes) == (21.0, BASE_BYTES + 75)
     assert guessed.basis == "estimated"
-    # What is worked on piece by piece takes no more however large it is, or as much as it took before.
+    # Chunked stages have a memory limit that is independent of the scan, or the memory of the earlier run.
     pieces = CostModel(bytes=5, bytes_per_megapixel=7, max_bytes=60)
     assert estimate_cost("clean", 10.0, None, known, pieces).memory_bytes == BASE_BYTES + 60
     assert estimate_cost("fuse", 60.0, None, known, pieces).memory_bytes == BASE_BYTES + 1000
     wide = CostModel(max_bytes=20_000)
     assert estimate_cost("fuse", 60.0, None, known, wide).memory_bytes == BASE_BYTES + 20_000
-    # Results of an earlier version do not say how large their scan was.
+    # Results of an earlier version lack the size of their scan.
     del made["megapixels"]
     assert estimate_cost("fuse", 6.0, None, known, CostModel()).seconds == 10.0

@@ -1,4 +1,4 @@
-"""The stages `upright` and `export` of a run: what stands, and what is small."""
+"""The stages `upright` and `export` of a run: upright models and small files."""
 
 from __future__ import annotations
 
@@ -33,13 +33,13 @@ def config(*more: str) -> Config:
 
 
 @pytest.mark.slow
-def test_without_a_texture_there_is_a_file_with_colours_of_vertices_that_stands(tmp_path, monkeypatch):
+def test_without_a_texture_the_export_is_upright_with_vertex_colours(tmp_path, monkeypatch):
     monkeypatch.delenv(CACHE_VARIABLE, raising=False)
     run(SCAN, tmp_path, config("texture.enabled=false"))
     plain, light = read_mesh(tmp_path / "simplified.ply"), read_mesh(tmp_path / "simplified.glb")
     np.testing.assert_allclose(light.vertices, plain.vertices, atol=1e-6)
     np.testing.assert_array_equal(light.colors, plain.colors)
-    # The sample's world has z up.
+    # The world of the sample has z up.
     assert light.up == pytest.approx((0, 0, 1))
     told = json.loads((tmp_path / "report.json").read_text())["stages"]["upright"]["metrics"]
     assert (told["up"], told["up_source"]) == ([0, 0, 1], "surface")
@@ -58,13 +58,13 @@ def test_without_a_texture_there_is_a_file_with_colours_of_vertices_that_stands(
     assert not (tmp_path / "web.glb").exists()
 
 
-def test_it_has_nothing_to_do_beside_a_texture_unless_it_is_asked():
+def test_export_is_skipped_for_textured_runs_unless_requested():
     scan = read_scan(SCAN)
     assert "export.web=true" in list_skip_reasons(scan, Config())["export"]
     assert "export" not in list_skip_reasons(scan, Config().set(["export.web=true"]))
     assert "export" not in list_skip_reasons(scan, Config().set(["texture.enabled=false"]))
 
 
-def test_frames_without_poses_tell_nothing(tmp_path):
+def test_frames_without_poses_give_no_up_direction(tmp_path):
     metrics = estimate_up(tmp_path, sheet(), Scan("made", []), None, UprightSection())
     assert metrics == {"up": None, "up_source": "nothing"}

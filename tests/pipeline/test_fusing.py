@@ -1,4 +1,4 @@
-"""What a run fuses of a scan, and what comes of it in the stages after."""
+"""Cropping and plane removal during fusion, and their effects on later stages."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ from scanloom.stages.scans.model.scan import Frame, Scan
 from scanloom.stages.surface.formats.ply import read_ply
 
 QUICK = ("adjust.enabled=false", "texture.enabled=false", "fuse.voxel_size=0.02")
-# Level cameras that look ahead say nothing better of up than this.
+# Small enough that level cameras give no better estimate of up.
 TILT = np.radians(7)
 
 
 @pytest.fixture(scope="module")
 def table(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A ball on a table, in a world that is not level."""
+    """Write a ball on a table, in a world that is not level."""
     folder = tmp_path_factory.mktemp("table")
     turn = np.eye(4)
     turn[1:3, 1:3] = [[np.cos(TILT), -np.sin(TILT)], [np.sin(TILT), np.cos(TILT)]]
@@ -45,12 +45,12 @@ def table(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def ran(table: Path, out: Path, *more: str, until: str = "fuse") -> RunResult:
+def run_table(table: Path, out: Path, *more: str, until: str = "fuse") -> RunResult:
     return run(table, out, Config().set([*QUICK, *more]), until=until)
 
 
-def test_what_is_up_is_told_by_the_plane_that_was_left_out(table: Path, tmp_path: Path) -> None:
-    result = ran(table, tmp_path / "out", "fuse.remove_plane=true", until="upright")
+def test_the_removed_plane_gives_the_up_direction(table: Path, tmp_path: Path) -> None:
+    result = run_table(table, tmp_path / "out", "fuse.remove_plane=true", until="upright")
     stages: Any = result.report["stages"]
     told = stages["upright"]["metrics"]
     assert told["up_source"] == "plane"
@@ -60,7 +60,7 @@ def test_what_is_up_is_told_by_the_plane_that_was_left_out(table: Path, tmp_path
     heights = read_ply(tmp_path / "out" / "clean.ply").vertices @ plane["normal"] - plane["offset_m"]
     assert plane["margin_m"] - 1e-4 <= heights.min() < plane["margin_m"] + 0.02
     assert heights.max() == pytest.approx(2 * BALL, abs=0.01)
-    without = ran(table, tmp_path / "out", until="upright").report["stages"]["upright"]["metrics"]
+    without = run_table(table, tmp_path / "out", until="upright").report["stages"]["upright"]["metrics"]
     assert without["up_source"] == "surface"
 
 
@@ -74,7 +74,7 @@ def test_what_is_up_is_told_by_the_plane_that_was_left_out(table: Path, tmp_path
         ("fuse.plane_margin=0.02", "plane_margin not set → 0.02"),
     ],
 )
-def test_another_crop_is_another_result(table: Path, made: Path, assignment: str, reason: str) -> None:
+def test_changing_the_crop_reruns_fusion(table: Path, made: Path, assignment: str, reason: str) -> None:
     config = Config().set([*QUICK, assignment])
     (fused,) = predict_run(table, made, config, until="fuse").stages
     assert (fused.cached, fused.reason) == (False, f"params changed: {reason}")
@@ -84,24 +84,24 @@ def test_another_crop_is_another_result(table: Path, made: Path, assignment: str
 @pytest.fixture(scope="module")
 def made(table: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("made")
-    ran(table, out)
+    run_table(table, out)
     return out
 
 
 def test_a_crop_that_leaves_nothing_stops_the_run(table: Path, tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="the crop is empty: none of "):
-        ran(table, tmp_path / "out", "fuse.box=5 5 5 6 6 6")
+        run_table(table, tmp_path / "out", "fuse.box=5 5 5 6 6 6")
     assert not (tmp_path / "out" / "fused.ply").exists()
 
 
-def test_only_a_plane_that_was_left_out_tells_what_is_up(tmp_path: Path) -> None:
+def test_only_a_removed_plane_gives_the_up_direction(tmp_path: Path) -> None:
     scan = Scan("plain-rgbd", frames("ball")[::2])
     fused = write_fused(tmp_path, scan, FuseParams(voxel_size=0.03, radius=0.4), None)
     assert FusedMesh(tmp_path).load_plane_normal() is None
     assert len(read_ply(tmp_path / "fused.ply").triangles) == fused.to_dict()["triangles"]
 
 
-def test_a_place_is_not_looked_for_in_a_piece_whose_world_is_another(tmp_path: Path) -> None:
+def test_a_given_position_is_not_used_in_other_components(tmp_path: Path) -> None:
     scan = Scan("plain-rgbd", frames("ball"))
     poses = {str(k): np.asarray(frame.world_from_camera).tolist() for k, frame in enumerate(scan.frames)}
     (tmp_path / "registration.json").write_text(json.dumps({"poses": {}, "apart": {"2": poses}}))

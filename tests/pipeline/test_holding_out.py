@@ -1,4 +1,4 @@
-"""Photos that no stage saw are moved as those taken just after them were, and have the same camera."""
+"""Held-out photos get the pose correction of the next frame, and the same camera."""
 
 from dataclasses import replace
 
@@ -15,7 +15,7 @@ def frames() -> list[Frame]:
     return [photo(number, pose(0.1 * number, 0.5)) for number in range(6)]
 
 
-def test_they_move_with_the_frame_after_them(frames):
+def test_held_out_frames_move_with_the_next_frame(frames):
     left_out, given = frames[1::3], [frame for number, frame in enumerate(frames) if number % 3 != 1]
     shift = np.eye(4)
     shift[:3, 3] = 0.01, -0.02, 0.03
@@ -29,7 +29,7 @@ def test_they_move_with_the_frame_after_them(frames):
         assert one.shutter_turn is None
 
 
-def test_that_rows_are_read_one_after_the_other_is_known_of_them_but_not_how_it_turned(frames):
+def test_held_out_frames_have_a_rolling_shutter_with_unknown_rotation(frames):
     turn = np.array([0.01, 0.02, -0.01])
     used = [replace(frame, shutter_turn=turn) for frame in frames[1:]]
     (one,) = transfer_neighbour_poses(frames[:1], 6, frames[1:], used)

@@ -1,4 +1,4 @@
-"""What does and what does not decide a hit."""
+"""Inputs that decide about a cache hit, and inputs that do not."""
 
 import os
 import shutil
@@ -13,25 +13,25 @@ from scanloom.pipeline.cache.entry import Recipe
 ALL = ["mix", "cut", "count"]
 
 
-def ran(outcomes):
+def list_computed(outcomes):
     return [outcome.stage for outcome in outcomes if not outcome.cached]
 
 
 @pytest.fixture
 def out(toy: ModuleType, scan: Path, tmp_path: Path) -> Path:
-    """An output folder after a first run."""
-    assert ran(toy.run(scan, tmp_path / "out")) == ALL
+    """Make an output folder with the results of a first run."""
+    assert list_computed(toy.run(scan, tmp_path / "out")) == ALL
     return tmp_path / "out"
 
 
 def test_second_run_is_all_cached(toy, scan, out):
-    assert ran(toy.run(scan, out)) == []
+    assert list_computed(toy.run(scan, out)) == []
 
 
 def test_touched_files_keep_the_cache(toy, scan, out):
     for path in scan.iterdir():
         os.utime(path, (1, 1))
-    assert ran(toy.run(scan, out)) == []
+    assert list_computed(toy.run(scan, out)) == []
 
 
 def test_rewritten_files_of_the_same_content_keep_the_cache(toy, scan, out):
@@ -39,37 +39,37 @@ def test_rewritten_files_of_the_same_content_keep_the_cache(toy, scan, out):
         data = path.read_bytes()
         path.unlink()
         path.write_bytes(data)
-    assert ran(toy.run(scan, out)) == []
+    assert list_computed(toy.run(scan, out)) == []
 
 
 def test_moved_scan_keeps_the_cache(toy, scan, out, tmp_path):
     moved = tmp_path / "elsewhere" / "renamed scan"
     moved.parent.mkdir()
     scan.rename(moved)
-    assert ran(toy.run(moved, out)) == []
+    assert list_computed(toy.run(moved, out)) == []
 
 
 def test_moved_output_folder_keeps_its_cache_and_its_record(toy, scan, out, tmp_path):
     moved = tmp_path / "other" / "results"
     shutil.move(out, moved)
     outcomes = toy.run(scan, moved, "cut.far=3")
-    assert ran(outcomes) == ["cut", "count"]
+    assert list_computed(outcomes) == ["cut", "count"]
     assert outcomes[1].reason == "params changed: far not set → 3"
 
 
 def test_renamed_frames_in_the_same_order_keep_the_cache(toy, scan, out):
     for path in scan.iterdir():
         path.rename(path.with_name(f"image-{path.name}"))
-    assert ran(toy.run(scan, out)) == []
+    assert list_computed(toy.run(scan, out)) == []
 
 
 def test_current_folder_does_not_matter(toy, scan, out, monkeypatch):
     monkeypatch.chdir(scan)
-    assert ran(toy.run(Path(), Path("..") / out.name)) == []
+    assert list_computed(toy.run(Path(), Path("..") / out.name)) == []
 
 
 def test_thread_count_keeps_the_cache(toy, scan, out):
-    assert ran(toy.run(scan, out, "mix.threads=7", "cut.soft.previews=3")) == []
+    assert list_computed(toy.run(scan, out, "mix.threads=7", "cut.soft.previews=3")) == []
 
 
 @pytest.mark.parametrize(
@@ -84,16 +84,16 @@ def test_thread_count_keeps_the_cache(toy, scan, out):
     ],
 )
 def test_changed_parameter_reruns_its_stage_and_what_follows(toy, scan, out, assignment, expected, reason):
-    # `mode` leaves the bytes of cut.bin as they were, so count need not run again.
+    # `mode` leaves the bytes of cut.bin unchanged, so count does not run again.
     outcomes = toy.run(scan, out, assignment)
-    assert ran(outcomes) == expected
+    assert list_computed(outcomes) == expected
     assert next(o for o in outcomes if not o.cached).reason == reason
-    assert ran(toy.run(scan, out)) == [], "the earlier results are still there"
+    assert list_computed(toy.run(scan, out)) == [], "the earlier results are still there"
 
 
 def test_whole_number_and_number_are_one_value(toy, scan, out):
     toy.run(scan, out, "cut.far=3")
-    assert ran(toy.run(scan, out, "cut.far=3.0")) == []
+    assert list_computed(toy.run(scan, out, "cut.far=3.0")) == []
 
 
 @pytest.mark.parametrize("keep_stamp", [False, True])
@@ -106,38 +106,38 @@ def test_changed_content_reruns_even_under_the_old_time_stamp(toy, scan, out, ke
     if keep_stamp:
         os.utime(path, ns=(stat.st_atime_ns, stat.st_mtime_ns))
     outcomes = toy.run(scan, out)
-    assert ran(outcomes) == ALL
+    assert list_computed(outcomes) == ALL
     assert outcomes[0].reason == "input changed: frame 1 (01)"
 
 
-def test_swapped_frames_are_another_scan(toy, scan, out):
+def test_swapping_frames_changes_the_scan(toy, scan, out):
     (scan / "00.raw").rename(scan / "aside")
     (scan / "01.raw").rename(scan / "00.raw")
     (scan / "aside").rename(scan / "01.raw")
-    assert ran(toy.run(scan, out)) == ALL
+    assert list_computed(toy.run(scan, out)) == ALL
 
 
-def test_added_and_removed_frames_are_another_scan(toy, scan, out):
+def test_adding_or_removing_frames_changes_the_scan(toy, scan, out):
     (scan / "02.raw").unlink()
     outcomes = toy.run(scan, out)
-    assert ran(outcomes) == ALL
+    assert list_computed(outcomes) == ALL
     assert outcomes[0].reason == "input changed: frame 2 (02)"
 
 
 def test_raised_version_of_a_result_reruns(toy, scan, out):
     plan = (toy.PLAN[0], replace(toy.PLAN[1], versions=toy.at(cut=2)), toy.PLAN[2])
     outcomes = toy.run(scan, out, plan=plan)
-    assert ran(outcomes) == ["cut"]
+    assert list_computed(outcomes) == ["cut"]
     assert outcomes[1].reason == "stage changed: version of cut 1 → 2"
 
 
-def test_what_a_stage_runs_may_depend_on_what_it_is_asked(toy, scan, out):
-    # As simplify runs one of several methods.
+def test_versions_of_a_stage_may_depend_on_its_parameters(toy, scan, out):
+    # Like simplify, which runs one of several methods.
     def versions(inputs, config):  # noqa: ARG001
         return {"cut": 1, **({"soft": 7} if config.cut.mode == "soft" else {})}
 
     plan = (toy.PLAN[0], replace(toy.PLAN[1], versions=versions), toy.PLAN[2])
-    assert ran(toy.run(scan, out, plan=plan)) == []
+    assert list_computed(toy.run(scan, out, plan=plan)) == []
     outcomes = toy.run(scan, out, "cut.mode=soft", plan=plan)
     assert outcomes[1].reason == "params changed: mode hard → soft", "no reason of its own"
     plan = (toy.PLAN[0], replace(toy.PLAN[1], versions=toy.at(cut=1, soft=8)), toy.PLAN[2])
@@ -145,23 +145,23 @@ def test_what_a_stage_runs_may_depend_on_what_it_is_asked(toy, scan, out):
     assert outcomes[1].reason == "stage changed: version of soft 7 → 8"
 
 
-def test_a_version_that_is_new_reruns(toy, scan, out):
+def test_an_additional_version_reruns(toy, scan, out):
     plan = (toy.PLAN[0], replace(toy.PLAN[1], versions=toy.at(cut=1, inner=3)), toy.PLAN[2])
     outcomes = toy.run(scan, out, plan=plan)
-    assert ran(outcomes) == ["cut"]
+    assert list_computed(outcomes) == ["cut"]
     assert outcomes[1].reason == "stage changed: version of inner unknown → 3"
 
 
 def test_other_library_reruns(toy, scan, out):
     plan = (replace(toy.PLAN[0], libraries={"numpy": "0.1"}), *toy.PLAN[1:])
     outcomes = toy.run(scan, out, plan=plan)
-    assert ran(outcomes) == ["mix"]
+    assert list_computed(outcomes) == ["mix"]
     assert outcomes[0].reason.startswith("library changed: numpy ")
 
 
-def test_forced_stage_runs_and_what_follows_is_cached_since_its_result_is_the_same(toy, scan, out):
+def test_a_forced_stage_runs_and_later_stages_hit_the_cache(toy, scan, out):
     outcomes = toy.run(scan, out, force=("cut",))
-    assert ran(outcomes) == ["cut"]
+    assert list_computed(outcomes) == ["cut"]
     assert outcomes[1].reason == "forced"
 
 
@@ -181,15 +181,15 @@ def test_every_field_of_a_recipe_decides_the_key():
     assert replace(base, params={"fuse": {"voxel_size": 0.01}}).key == base.key
 
 
-def test_result_deleted_from_the_cache_is_made_again_alone(toy, scan, out):
+def test_only_a_result_deleted_from_the_cache_is_computed_again(toy, scan, out):
     shutil.rmtree(out / "cache" / "cut")
     outcomes = toy.run(scan, out)
-    assert ran(outcomes) == ["cut"]
+    assert list_computed(outcomes) == ["cut"]
     assert outcomes[1].reason == "no longer in the cache"
 
 
 @pytest.mark.parametrize("stage", ALL)
-def test_damaged_result_is_made_again_alone_and_ends_with_the_same_bytes(toy, scan, out, stage):
+def test_only_a_damaged_result_is_computed_again_with_the_same_bytes(toy, scan, out, stage):
     def contents():
         return {path.name: path.read_bytes() for path in out.rglob("*") if path.suffix in (".bin", ".txt")}
 
@@ -197,6 +197,6 @@ def test_damaged_result_is_made_again_alone_and_ends_with_the_same_bytes(toy, sc
     [damaged] = [path for path in (out / "cache" / stage).rglob("*") if path.suffix in (".bin", ".txt")][:1]
     damaged.write_bytes(b"\0" * damaged.stat().st_size)
     warnings = []
-    assert ran(toy.run(scan, out, warnings=warnings)) == [stage]
+    assert list_computed(toy.run(scan, out, warnings=warnings)) == [stage]
     assert damaged.name in warnings[0]
     assert contents() == before

@@ -1,4 +1,4 @@
-"""A run that is killed leaves whole results or none, and the next one ends with the same bytes."""
+"""A killed run leaves complete results or none, and the next run gives the same bytes."""
 
 import random
 import signal
@@ -17,8 +17,8 @@ pytestmark = pytest.mark.slow
 _EVERYWHERE = Path(__file__).with_name("kill_everywhere.py")
 
 
-def results(out: Path) -> dict[str, bytes]:
-    """Every file of an output folder but the cache, by name."""
+def read_results(out: Path) -> dict[str, bytes]:
+    """Read all files of an output folder except the cache, by name."""
     files = [path for path in out.rglob("*") if path.is_file() and out / "cache" not in path.parents]
     return {str(path.relative_to(out)): path.read_bytes() for path in files}
 
@@ -42,7 +42,7 @@ def test_killed_at_random_moments(toy: ModuleType, tmp_path: Path):
     command = [sys.executable, toy.__file__, str(scan)]
     subprocess.run([*command, str(tmp_path / "whole")], check=True)
     whole = time.perf_counter() - started
-    expected = results(tmp_path / "whole")
+    expected = read_results(tmp_path / "whole")
 
     out = tmp_path / "out"
     draw = random.Random(3)
@@ -52,13 +52,13 @@ def test_killed_at_random_moments(toy: ModuleType, tmp_path: Path):
             time.sleep(whole * draw.uniform(0.3, 0.95))
             process.kill()
         killed += process.returncode == -signal.SIGKILL
-        left = results(out) if out.exists() else {}
+        left = read_results(out) if out.exists() else {}
         assert {name: expected[name] for name in left if not name.endswith(".part")}.items() <= left.items()
         assert all(entry.problem is None for entry in Cache(out / "cache").verify())
     assert killed > 3
 
     toy.run(scan, out)
-    assert results(out) == expected
+    assert read_results(out) == expected
     assert not list((out / "cache" / "drafts").iterdir())
 
 

@@ -1,4 +1,4 @@
-"""A run whose meshes are too large to be read at once: to its report, its page and its levels of detail."""
+"""A run whose meshes are too large for memory: report, page, and levels of detail."""
 
 from __future__ import annotations
 
@@ -33,29 +33,29 @@ BOUND = "simplify.max_shape=0.009"
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, RunResult, list[str]]:
-    """A few frames of the sample, and what a run left of them."""
+    """Run on a few frames of the sample; return scan, output folder, result and warnings."""
     folder = tmp_path_factory.mktemp("large")
     scan, out = write_partial_sample(folder / "scan", list(range(0, 24, 6))), folder / "out"
     with use_small_chunks():
-        return (scan, out, *ran(scan, out, BOUND, "lod.enabled=true", "coverage.enabled=true"))
+        return (scan, out, *run_scan(scan, out, BOUND, "lod.enabled=true", "coverage.enabled=true"))
 
 
-def ran(scan: Path, out: Path, *more: str, until: str | None = None) -> tuple[RunResult, list[str]]:
+def run_scan(scan: Path, out: Path, *more: str, until: str | None = None) -> tuple[RunResult, list[str]]:
     config = Config().set([*QUICK, *more])
     result = run(scan, out, config, until=until, cache_dir=f"{out}-cache")
     return result, [str(one) for one in result.diagnostics]
 
 
-def metrics_of(result: RunResult, stage: str) -> dict[str, Any]:
+def get_metrics(result: RunResult, stage: str) -> dict[str, Any]:
     metrics: dict[str, Any] = result.report["stages"][stage]["metrics"]
     return metrics
 
 
 @pytest.mark.slow
-def test_the_report_tells_what_it_would_of_meshes_that_are_read_at_once(made: Any) -> None:
+def test_the_report_equals_the_report_of_in_memory_meshes(made: Any) -> None:
     _, out, result, _ = made
     light = read_ply(out / "simplified.ply")
-    assert metrics_of(result, "simplify")["parts"] > 5
+    assert get_metrics(result, "simplify")["parts"] > 5
     told = result.report["mesh"]
     for name, samples in (("fused", 2000), ("refined", 500)):
         expected = compare(read_ply(out / f"{name}.ply"), light, samples=samples).to_dict()
@@ -70,7 +70,7 @@ def test_the_report_tells_what_it_would_of_meshes_that_are_read_at_once(made: An
     assert all((out / name).is_file() for name in result.report["pictures"])
 
 
-def test_the_page_shows_coarsely_what_is_too_large_for_memory(made: Any) -> None:
+def test_the_page_shows_a_subsample_of_large_meshes(made: Any) -> None:
     _, out, _, said = made
     page = read_page_content((out / "report.html").read_bytes())
     models = {one["name"]: one for one in page["models"]}
@@ -83,11 +83,11 @@ def test_the_page_shows_coarsely_what_is_too_large_for_memory(made: Any) -> None
     assert not any("page" in text for text in (*said, *page["warnings"]))
 
 
-def test_what_is_missing_is_told_as_of_a_mesh_that_is_read_at_once(made: Any) -> None:
+def test_coverage_equals_that_of_an_in_memory_mesh(made: Any) -> None:
     scan, out, result, said = made
     expected = coverage(read_ply(out / "refined.ply"), read_scan(scan))
     told = json.loads((out / "coverage.json").read_text())
-    assert metrics_of(result, "coverage")["places"] == len(told["places"]) == len(expected.defects) > 0
+    assert get_metrics(result, "coverage")["places"] == len(told["places"]) == len(expected.defects) > 0
     for place, one in zip(told["places"], expected.to_dict()["places"], strict=True):
         for name in ("kind", "point_m", "viewpoint_m", "frames_in_view"):
             assert place[name] == one[name]
@@ -111,35 +111,36 @@ def test_what_is_missing_is_told_as_of_a_mesh_that_is_read_at_once(made: Any) ->
     assert len(table["rows"]) == len(told["places"])
 
 
-def test_levels_begin_with_the_simplified_mesh_and_are_proven_from_the_clean_one(made: Any) -> None:
+def test_levels_start_from_the_simplified_mesh_with_bounds_to_the_clean_mesh(made: Any) -> None:
     scan, out, result, said = made
-    told, proven = metrics_of(result, "lod"), metrics_of(result, "simplify")["details"]
+    told, proven = get_metrics(result, "lod"), get_metrics(result, "simplify")["details"]
     clean, hierarchy = read_ply(out / "refined.ply"), lod.read_slod(out / "lod.slod")
     assert told["base_shape_bound_m"] == proven["shape_bound_m"] <= 0.009
     assert hierarchy.base_color_bound == proven["color_bound_levels"]
-    assert told["base_triangles"] == metrics_of(result, "simplify")["triangles"]
+    assert told["base_triangles"] == get_metrics(result, "simplify")["triangles"]
     assert told["input_triangles"] == len(clean.triangles)
     assert sum("built from the simplified mesh, which is proven to be within" in text for text in said) == 1
-    # By a proof of its own: what the coarsest level promises is true of the mesh it has never seen.
+    # A separate proof: the bound of the coarsest level also holds for the clean mesh, which it was not built
+    # from.
     cut = hierarchy.cut(triangles=1)
     assert certify(cut.mesh, clean, max_shape=cut.shape_bound_m).within_limits
-    # A lighter finest level adds its own.
+    # A coarser finest level adds its own error.
     with use_small_chunks():
-        lighter, _ = ran(scan, out, BOUND, "lod.enabled=true", "lod.base_error=0.015", until="lod")
+        lighter, _ = run_scan(scan, out, BOUND, "lod.enabled=true", "lod.base_error=0.015", until="lod")
         assert [one.stage for one in lighter.stages if not one.cached] == ["lod"]
-        told = metrics_of(lighter, "lod")
-        assert told["base_triangles"] < metrics_of(result, "lod")["base_triangles"]
+        told = get_metrics(lighter, "lod")
+        assert told["base_triangles"] < get_metrics(result, "lod")["base_triangles"]
         assert proven["shape_bound_m"] < told["base_shape_bound_m"] <= 0.015
 
 
-def test_levels_of_what_is_not_proven_say_so_and_follow_the_light_mesh(made: Any, tmp_path: Path) -> None:
+def test_levels_without_proven_bounds_are_reported(made: Any, tmp_path: Path) -> None:
     scan, _, _, _ = made
     out = tmp_path / "out"
     with use_small_chunks():
-        result, said = ran(scan, out, "simplify.ratio=0.2", "lod.enabled=true", until="lod")
-        told = metrics_of(result, "lod")
+        result, said = run_scan(scan, out, "simplify.ratio=0.2", "lod.enabled=true", until="lod")
+        told = get_metrics(result, "lod")
         assert told["base_shape_bound_m"] == 0
-        assert told["input_triangles"] == metrics_of(result, "simplify")["triangles"]
+        assert told["input_triangles"] == get_metrics(result, "simplify")["triangles"]
         assert sum("whose distance from the refined mesh is not proven" in text for text in said) == 1
         assert "is not proven" in str(lod.read_slod(out / "lod.slod").diagnostics[-1])
         other = Config().set([*QUICK, "simplify.ratio=0.1", "lod.enabled=true"])
@@ -147,16 +148,16 @@ def test_levels_of_what_is_not_proven_say_so_and_follow_the_light_mesh(made: Any
         assert [one.stage for one in foreseen if not one.cached] == ["simplify", "lod"]
 
 
-def test_a_chunked_mesh_is_refined_to_the_bytes_of_one_in_memory(made: Any, tmp_path: Path) -> None:
+def test_refining_a_chunked_mesh_equals_in_memory_refinement(made: Any, tmp_path: Path) -> None:
     scan, out, result, said = made
     with use_small_chunks(max_in_memory=5_000_000):
-        at_once, _ = ran(scan, tmp_path / "out", until="refine")
+        at_once, _ = run_scan(scan, tmp_path / "out", until="refine")
     chunked, whole = out / "refined.ply", tmp_path / "out" / "refined.ply"
     assert chunked.read_bytes() == whole.read_bytes()
     assert (out / "clean.ply").read_bytes() == (tmp_path / "out" / "clean.ply").read_bytes()
     assert chunked.read_bytes() != (out / "clean.ply").read_bytes()
-    assert metrics_of(result, "refine") == metrics_of(at_once, "refine")
-    assert metrics_of(result, "refine")["why"] == ""
+    assert get_metrics(result, "refine") == get_metrics(at_once, "refine")
+    assert get_metrics(result, "refine")["why"] == ""
     folders = [next((Path(f"{one}-cache") / "refine").iterdir()) for one in (out, tmp_path / "out")]
     assert [make_table_path(one / "refined.ply").exists() for one in folders] == [True, False]
     assert 0 < np.median(read_vertex_values(chunked, "deviation")) < 0.01
@@ -166,14 +167,18 @@ def test_a_chunked_mesh_is_refined_to_the_bytes_of_one_in_memory(made: Any, tmp_
     assert not any("refined.ply" in text for text in said)
 
 
-def test_without_memory_for_it_a_mesh_is_kept_and_the_run_says_so(made: Any, tmp_path: Path) -> None:
+def test_without_enough_memory_refinement_is_skipped_and_reported(made: Any, tmp_path: Path) -> None:
     scan, out = made[0], tmp_path / "out"
     little = "refine.memory=1"
 
     def refine_again(*settings: str) -> tuple[dict[str, Any], list[str], bool]:
-        result, said = ran(scan, out, *settings, until="refine")
+        result, said = run_scan(scan, out, *settings, until="refine")
         stage = next(one for one in result.stages if one.stage == "refine")
-        return metrics_of(result, "refine"), [text for text in said if "is not refined" in text], stage.cached
+        return (
+            get_metrics(result, "refine"),
+            [text for text in said if "is not refined" in text],
+            stage.cached,
+        )
 
     with use_small_chunks():
         kept, said, _ = refine_again(little)
@@ -181,7 +186,7 @@ def test_without_memory_for_it_a_mesh_is_kept_and_the_run_says_so(made: Any, tmp
         assert "more memory than refine.memory allows" in kept["why"]
         assert len(said) == 1
         assert re.search(r"its [\d,]+ triangles need .* GB .* limit of 0\.001 GB .*refine\.memory", said[0])
-        # The key of the cache tells refined meshes from others, and nothing else depends on the limit.
+        # Refined meshes have a different cache key; the limit itself is not in the key.
         refined, said, cached = refine_again()
         assert (refined["why"], said, cached) == ("", [], False)
         assert refine_again("refine.memory=7000")[2]

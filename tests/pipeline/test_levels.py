@@ -1,4 +1,4 @@
-"""The optional stages `lod` and `tiles`: what they leave and tell; without them nothing of it stays."""
+"""The optional stages `lod` and `tiles`: results, metrics, and removal of results when they are disabled."""
 
 import json
 from dataclasses import replace
@@ -53,7 +53,7 @@ def _no_shared_cache(monkeypatch):
 
 @pytest.fixture
 def scan(tmp_path: Path) -> Path:
-    """Four noisy frames of a wavy wall about a metre away, from a camera that is tilted by 30°."""
+    """Write four noisy frames of a wavy wall about 1 m away, from a camera that is tilted by 30°."""
     folder = tmp_path / "scan"
     folder.mkdir()
     random = np.random.default_rng(1)
@@ -61,7 +61,7 @@ def scan(tmp_path: Path) -> Path:
     frames = []
     for i in range(4):
         pose = np.eye(4)
-        pose[:3, :3] = tilt()
+        pose[:3, :3] = make_tilt()
         pose[:3, 3] = pose[:3, :3] @ (0.03 * i, 0, 0)
         depth = (
             1
@@ -86,28 +86,28 @@ def scan(tmp_path: Path) -> Path:
     return folder
 
 
-def tilt() -> np.ndarray:
+def make_tilt() -> np.ndarray:
     c, s = np.cos(np.pi / 6), np.sin(np.pi / 6)
     return np.array([[1, 0, 0], [0, c, -s], [0, s, c]])
 
 
-def quick(*assignments: str) -> Config:
+def make_quick_config(*assignments: str) -> Config:
     return Config().set([*QUICK, "adjust.enabled=false", *assignments])
 
 
-def names(out: Path) -> list[str]:
+def list_names(out: Path) -> list[str]:
     return sorted(path.name for path in out.iterdir() if path.name != "cache")
 
 
-def ran(result) -> list[str]:
+def list_computed(result) -> list[str]:
     return [outcome.stage for outcome in result.stages if not outcome.cached]
 
 
-def metrics_of(result, stage: str = "lod") -> dict:
+def get_metrics(result, stage: str = "lod") -> dict:
     return result.report["stages"][stage]["metrics"]
 
 
-def test_it_is_there_if_it_is_enabled_and_reads_the_clean_mesh():
+def test_lod_is_planned_only_if_enabled_and_reads_the_clean_mesh():
     plain = Scan(frames=(), folder=None, layout="none")
     assert "lod.enabled=true" in list_skip_reasons(plain, Config())["lod"]
     assert "lod.enabled=true" in list_skip_reasons(plain, Config())["tiles"]
@@ -121,10 +121,10 @@ def test_it_is_there_if_it_is_enabled_and_reads_the_clean_mesh():
 
 
 @pytest.mark.slow
-def test_an_enabled_stage_leaves_the_levels_and_their_tiles(scan, tmp_path):
+def test_an_enabled_lod_stage_writes_levels_and_tiles(scan, tmp_path):
     out = tmp_path / "out"
-    result = run(scan, out, quick("lod.enabled=true"))
-    assert ran(result) == [
+    result = run(scan, out, make_quick_config("lod.enabled=true"))
+    assert list_computed(result) == [
         "fuse",
         "clean",
         "refine",
@@ -135,7 +135,7 @@ def test_an_enabled_stage_leaves_the_levels_and_their_tiles(scan, tmp_path):
         "export",
         "report",
     ]
-    assert names(out) == sorted([*PLAIN, *OWN])
+    assert list_names(out) == sorted([*PLAIN, *OWN])
 
     hierarchy = lod.read_slod(out / "lod.slod")
     stages = json.loads((out / "report.json").read_text())["stages"]
@@ -153,54 +153,57 @@ def test_an_enabled_stage_leaves_the_levels_and_their_tiles(scan, tmp_path):
     tiles = list((out / "tiles").rglob("*.glb"))
     assert stages["tiles"]["metrics"]["tiles"] == len(tiles)
     assert stages["tiles"]["metrics"]["total_bytes"] == sum(path.stat().st_size for path in tiles)
-    assert ran(run(scan, out, quick("lod.enabled=true"))) == []
+    assert list_computed(run(scan, out, make_quick_config("lod.enabled=true"))) == []
 
 
 @pytest.mark.slow
-def test_tiles_stand_upright_as_the_camera_was_held_where_there_is_no_floor(scan, tmp_path):
+def test_without_a_floor_tiles_are_upright_by_the_camera(scan, tmp_path):
     out = tmp_path / "out"
-    told = metrics_of(run(scan, out, quick("lod.enabled=true")), "upright")
+    told = get_metrics(run(scan, out, make_quick_config("lod.enabled=true")), "upright")
     assert told["up_source"] == "cameras"
-    np.testing.assert_allclose(told["up"], -tilt()[:, 1], atol=1e-5)
+    np.testing.assert_allclose(told["up"], -make_tilt()[:, 1], atol=1e-5)
     np.testing.assert_allclose(
         lod.read_slod(out / "lod.slod").cut(triangles=100).mesh.up, told["up"], atol=1e-12
     )
     transform = np.array(read_tree(out)["root"]["transform"]).reshape(4, 4).T
-    np.testing.assert_allclose(transform[:3, :3] @ -tilt()[:, 1], (0, 0, 1), atol=1e-5)
+    np.testing.assert_allclose(transform[:3, :3] @ -make_tilt()[:, 1], (0, 0, 1), atol=1e-5)
     assert np.linalg.det(transform[:3, :3]) == pytest.approx(1)
     up = read_tiles(out / "tiles").vertices.astype(float) @ transform[:3, :3].T
-    # The wall's height is what the frames' rows show of it.
+    # The height of the wall is the height of the frames.
     assert np.ptp(up[:, 2]) == pytest.approx(72 / 80, rel=0.1)
 
-    turned = run(scan, out, quick("lod.enabled=true", "upright.up=as-is"))
-    assert ran(turned) == ["upright", "lod", "tiles", "export"]
+    turned = run(scan, out, make_quick_config("lod.enabled=true", "upright.up=as-is"))
+    assert list_computed(turned) == ["upright", "lod", "tiles", "export"]
     assert lod.read_slod(out / "lod.slod").up is None
     assert "transform" not in read_tree(out)["root"]
 
 
 @pytest.mark.slow
-def test_tiles_show_what_the_photos_do_and_follow_the_texture_alone(scan, tmp_path):
+def test_tiles_show_photos_and_depend_only_on_the_texture(scan, tmp_path):
     out = tmp_path / "out"
     textured = ("lod.enabled=true", "texture.enabled=true")
-    result = run(scan, out, quick(*textured))
-    told = metrics_of(result, "tiles")
+    result = run(scan, out, make_quick_config(*textured))
+    told = get_metrics(result, "tiles")
     assert told["images"]["root_bytes"] > 0
     assert all(
-        tile["content"]["extras"]["color_rms_levels_sampled"] < 12 for tile in all_of(read_tree(out)["root"])
+        tile["content"]["extras"]["color_rms_levels_sampled"] < 12
+        for tile in list_tiles(read_tree(out)["root"])
     )
-    # What the texture depends on does not build the levels again.
-    again = run(scan, out, quick(*textured, "simplify.ratio=0.3"))
-    assert ran(again) == ["simplify", "texture", "tiles", "report"]
-    plain = run(scan, out, quick(*textured, "simplify.ratio=0.3", "tiles.images=false"))
-    assert ran(plain) == ["tiles"]
-    assert metrics_of(plain, "tiles")["images"] is None
-    paged = run(scan, out, quick(*textured, "simplify.ratio=0.3", "tiles.images=false", "tiles.page=true"))
-    assert ran(paged) == ["tiles"]
+    # The stages that the texture depends on do not trigger building levels.
+    again = run(scan, out, make_quick_config(*textured, "simplify.ratio=0.3"))
+    assert list_computed(again) == ["simplify", "texture", "tiles", "report"]
+    plain = run(scan, out, make_quick_config(*textured, "simplify.ratio=0.3", "tiles.images=false"))
+    assert list_computed(plain) == ["tiles"]
+    assert get_metrics(plain, "tiles")["images"] is None
+    paged = run(
+        scan, out, make_quick_config(*textured, "simplify.ratio=0.3", "tiles.images=false", "tiles.page=true")
+    )
+    assert list_computed(paged) == ["tiles"]
     assert (out / "tiles" / "index.html").exists()
 
 
-def all_of(tile: dict) -> list[dict]:
-    return [tile, *(one for child in tile.get("children", ()) for one in all_of(child))]
+def list_tiles(tile: dict) -> list[dict]:
+    return [tile, *(one for child in tile.get("children", ()) for one in list_tiles(child))]
 
 
 def read_tree(out: Path) -> dict:
@@ -208,40 +211,43 @@ def read_tree(out: Path) -> dict:
 
 
 @pytest.mark.slow
-def test_skip_reasons_again_it_leaves_nothing_behind_and_the_others_alone(scan, tmp_path):
+def test_disabling_lod_removes_its_results_and_keeps_all_others(scan, tmp_path):
     out = tmp_path / "out"
-    run(scan, out, quick())
-    assert names(out) == PLAIN
-    # No other stage reads what it makes.
-    assert ran(run(scan, out, quick("lod.enabled=true"))) == ["lod", "tiles"]
-    assert ran(run(scan, out, quick())) == []
-    assert names(out) == PLAIN
-    assert ran(run(scan, out, quick("lod.enabled=true", "tiles.enabled=false"))) == []
-    assert names(out) == sorted([*PLAIN, "lod.slod"])
-    assert ran(run(scan, out, quick("lod.enabled=true"))) == []
-    assert names(out) == sorted([*PLAIN, *OWN])
+    run(scan, out, make_quick_config())
+    assert list_names(out) == PLAIN
+    # No other stage reads the results of lod.
+    assert list_computed(run(scan, out, make_quick_config("lod.enabled=true"))) == ["lod", "tiles"]
+    assert list_computed(run(scan, out, make_quick_config())) == []
+    assert list_names(out) == PLAIN
+    assert list_computed(run(scan, out, make_quick_config("lod.enabled=true", "tiles.enabled=false"))) == []
+    assert list_names(out) == sorted([*PLAIN, "lod.slod"])
+    assert list_computed(run(scan, out, make_quick_config("lod.enabled=true"))) == []
+    assert list_names(out) == sorted([*PLAIN, *OWN])
 
 
 @pytest.mark.slow
-def test_its_parameters_and_the_clean_mesh_decide_its_result_but_threads_do_not(scan, tmp_path):
+def test_the_key_of_lod_depends_on_parameters_and_clean_mesh_but_not_threads(scan, tmp_path):
     out = tmp_path / "out"
-    run(scan, out, quick("lod.enabled=true"), until="lod")
-    other = run(scan, out, quick("lod.enabled=true", "lod.ratio=4"), until="lod")
-    assert ran(other) == ["lod"]
+    run(scan, out, make_quick_config("lod.enabled=true"), until="lod")
+    other = run(scan, out, make_quick_config("lod.enabled=true", "lod.ratio=4"), until="lod")
+    assert list_computed(other) == ["lod"]
     assert "ratio 2.5 → 4" in other.stages[-1].reason
-    exact = run(scan, out, quick("lod.enabled=true", "lod.base_error=0"), until="lod")
-    assert ran(exact) == ["lod"]
-    assert metrics_of(exact)["base_triangles"] == metrics_of(exact)["input_triangles"]
-    assert metrics_of(exact)["depth_noise_m"] is None
-    assert ran(run(scan, out, quick("lod.enabled=true", "lod.threads=1"), until="lod")) == []
-    # The simplified mesh does not.
-    lighter = run(scan, out, quick("lod.enabled=true", "simplify.ratio=0.3"), until="lod")
-    assert ran(lighter) == ["simplify"]
-    filled = run(scan, out, quick("lod.enabled=true", "clean.fill_holes=10"), until="lod")
-    assert "clean" in ran(filled)
+    exact = run(scan, out, make_quick_config("lod.enabled=true", "lod.base_error=0"), until="lod")
+    assert list_computed(exact) == ["lod"]
+    assert get_metrics(exact)["base_triangles"] == get_metrics(exact)["input_triangles"]
+    assert get_metrics(exact)["depth_noise_m"] is None
+    assert (
+        list_computed(run(scan, out, make_quick_config("lod.enabled=true", "lod.threads=1"), until="lod"))
+        == []
+    )
+    # The simplified mesh is not an input of lod.
+    lighter = run(scan, out, make_quick_config("lod.enabled=true", "simplify.ratio=0.3"), until="lod")
+    assert list_computed(lighter) == ["simplify"]
+    filled = run(scan, out, make_quick_config("lod.enabled=true", "clean.fill_holes=10"), until="lod")
+    assert "clean" in list_computed(filled)
 
 
-def test_frames_that_tell_no_noise_give_the_clean_mesh_itself_and_a_warning(tmp_path):
+def test_without_a_noise_estimate_the_finest_level_is_the_clean_mesh(tmp_path):
     mesh = sheet(20)
     pose = np.eye(4)
     wall = np.ones((72, 96), np.float32)
@@ -257,12 +263,12 @@ def test_frames_that_tell_no_noise_give_the_clean_mesh_itself_and_a_warning(tmp_
 @pytest.mark.parametrize(
     "word", ["lod.ratio=1", "lod.base_error=-1", "upright.up=sideways", "upright.up=0 0 0"]
 )
-def test_bad_values_are_refused_before_anything_runs(word):
+def test_invalid_values_are_refused_before_the_run(word):
     with pytest.raises(UsageError, match=word.partition("=")[0]):
         Config().set([word])
 
 
-def test_threads_and_whether_it_is_there_are_no_part_of_its_key():
+def test_the_key_of_lod_excludes_threads_and_enabled():
     plain = Config().to_canonical("lod")
     assert not {"enabled", "threads"} & set(plain)
     assert replace(Config(), lod=LodSection(enabled=True, threads=1)).to_canonical("lod") == plain

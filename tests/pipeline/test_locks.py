@@ -1,4 +1,4 @@
-"""Locks: shared and alone, waited for or not, and gone with who held them."""
+"""Locks: shared and exclusive, waiting, and released when their process ends."""
 
 import subprocess
 import sys
@@ -11,7 +11,7 @@ import pytest
 from scanloom.pipeline.cache.locks import take_folder_lock, take_lock, try_folder_lock, try_lock
 
 
-def test_several_share_a_lock_and_one_alone_has_it(tmp_path: Path) -> None:
+def test_a_lock_is_shared_by_several_or_exclusive(tmp_path: Path) -> None:
     path = tmp_path / "a.lock"
     readers = [take_lock(path, shared=True) for _ in range(3)]
     assert try_lock(path) is None
@@ -48,7 +48,7 @@ def test_a_lock_is_waited_for(tmp_path: Path, shared: bool) -> None:
     assert taken[0] >= released
 
 
-def test_a_lock_goes_with_the_process(tmp_path: Path) -> None:
+def test_a_lock_is_released_when_its_process_ends(tmp_path: Path) -> None:
     script = (
         "import time; from pathlib import Path; from scanloom.pipeline.cache.locks import take_lock\n"
         f"lock = take_lock(Path({str(tmp_path / 'a.lock')!r})); print('held', flush=True); time.sleep(60)\n"
@@ -61,7 +61,7 @@ def test_a_lock_goes_with_the_process(tmp_path: Path) -> None:
     take_lock(tmp_path / "a.lock").release()
 
 
-def test_what_is_locked_can_be_written_read_and_moved(tmp_path: Path) -> None:
+def test_a_locked_folder_can_be_written_read_and_moved(tmp_path: Path) -> None:
     path = tmp_path / "draft"
     lock = take_lock(path)
     path.write_bytes(b"whole")
@@ -90,7 +90,7 @@ def test_a_folder_is_locked_without_a_file_in_it(tmp_path: Path) -> None:
     assert [path.name for path in tmp_path.iterdir()] == ["other"]
 
 
-def test_use_is_noted_on_the_locked_file(tmp_path: Path) -> None:
+def test_taking_a_lock_updates_the_time_of_the_file(tmp_path: Path) -> None:
     lock = take_lock(tmp_path / "a.lock")
     before = time.time() - 5
     lock.touch()

@@ -1,4 +1,4 @@
-"""A network of one's own in a run: what of it decides a hit, and that measured depth stays."""
+"""A user's network in a run: its part in cache keys, and measured depth is kept."""
 
 import json
 import shutil
@@ -24,7 +24,7 @@ ONE = Sidecar("monocular", {"image": "image"}, "depth", "inverse_depth", range=(
 
 @pytest.fixture
 def scan(tmp_path: Path) -> Path:
-    """Two frames of depth whose brightness is inverse depth; the second lacks a part."""
+    """Make two depth frames whose brightness encodes inverse depth; a part of the second has no depth."""
     folder, frames = tmp_path / "scan", []
     for number, frame in enumerate(photos(8)[:2]):
         random = np.random.default_rng(number)
@@ -52,36 +52,36 @@ def config(network: Path, *more: str) -> Config:
     return Config().set([f"depth.model={network}", *more])
 
 
-def reasons(scan: Path, out: Path, network: Path, *more: str) -> dict[str, str]:
+def predict_reasons(scan: Path, out: Path, network: Path, *more: str) -> dict[str, str]:
     foreseen = predict_run(scan, out, config(network, *more), until="depth")
     return {one.stage: one.reason for one in foreseen.stages if not one.cached}
 
 
-def test_a_network_and_its_sidecar_decide_and_their_place_does_not(scan, network, tmp_path):
+def test_the_key_depends_on_network_and_sidecar_but_not_on_their_path(scan, network, tmp_path):
     out = tmp_path / "out"
     metrics = run(scan, out, config(network), until="depth").stages[0].metrics
     assert metrics["filled_ratio"] > 0.05
-    assert reasons(scan, out, network) == {}
+    assert predict_reasons(scan, out, network) == {}
     moved = tmp_path / "elsewhere" / "renamed.onnx"
     moved.parent.mkdir()
     shutil.move(network, moved)
     shutil.move(get_sidecar_path(network), get_sidecar_path(moved))
-    assert reasons(scan, out, moved) == {}
-    assert reasons(scan, out, moved, "depth.model_seconds=5", "depth.model_memory=4000") == {}
-    assert reasons(scan, out, moved, "depth.model_error=0.2")["depth"].startswith("params changed")
+    assert predict_reasons(scan, out, moved) == {}
+    assert predict_reasons(scan, out, moved, "depth.model_seconds=5", "depth.model_memory=4000") == {}
+    assert predict_reasons(scan, out, moved, "depth.model_error=0.2")["depth"].startswith("params changed")
     text = get_sidecar_path(moved).read_text(encoding="utf-8")
     get_sidecar_path(moved).write_text(text + "\n", encoding="utf-8")
-    assert "sidecar" in reasons(scan, out, moved)["depth"]
+    assert "sidecar" in predict_reasons(scan, out, moved)["depth"]
     get_sidecar_path(moved).write_text(text, encoding="utf-8")
     onnx_networks.write_brightness_network(moved, scale=3.0)
-    assert "network" in reasons(scan, out, moved)["depth"]
+    assert "network" in predict_reasons(scan, out, moved)["depth"]
 
 
-def test_without_one_measured_depth_has_no_such_stage(scan, tmp_path):
+def test_without_a_network_measured_depth_has_no_depth_stage(scan, tmp_path):
     assert "depth" not in {one.stage for one in predict_run(scan, tmp_path / "out", Config()).stages}
 
 
-def test_measured_depth_stays_and_what_is_filled_in_can_be_left_out(scan, network, tmp_path):
+def test_measured_depth_is_kept_and_filled_depth_can_be_excluded(scan, network, tmp_path):
     run(scan, tmp_path / "out", config(network), until="depth")
     (entry,) = (tmp_path / "out" / "cache" / "depth").glob("*/**/scan.json")
     before, after = read_scan(scan), read_scan(entry.parent)
@@ -97,7 +97,7 @@ def test_measured_depth_stays_and_what_is_filled_in_can_be_left_out(scan, networ
     np.testing.assert_array_equal(read_depth(surest.frames[1]) > 0, measured > 0)
 
 
-def test_one_that_cannot_be_run_is_bad_input(scan, network, tmp_path):
+def test_an_invalid_network_is_an_input_error(scan, network, tmp_path):
     network.write_bytes(b"no network")
     with pytest.raises(InputError, match="cannot be run as a network"):
         run(scan, tmp_path / "out", config(network), until="depth")

@@ -1,4 +1,4 @@
-"""A stage is added by one file in each folder and a line in three tables, and is then everywhere."""
+"""Adding a stage takes one file in each folder and a line in three tables."""
 
 from __future__ import annotations
 
@@ -160,12 +160,12 @@ def test_a_new_stage_is_in_runs_help_toml_json_cache_and_report(checkout: Path, 
 
 
 @pytest.mark.parametrize("stage", STAGES, ids=lambda stage: stage.name)
-def test_inputs_are_named_after_what_other_stages_write(stage: AnyStage) -> None:
+def test_inputs_are_named_after_artifacts_of_other_stages(stage: AnyStage) -> None:
     sources = {"scan", "frames", "network", "photos", "held_out", "is_textured", "names", "times", "world"}
     earlier = {one.artifact.NAME for one in STAGES[: STAGES.index(stage)]}
     assert set(stage.input_names) <= sources | earlier
 
 
-def test_artifacts_have_names_of_their_own() -> None:
+def test_artifact_names_are_unique() -> None:
     names = [stage.artifact.NAME for stage in STAGES]
     assert len(set(names)) == len(names)

@@ -1,4 +1,4 @@
-"""What a run leaves of the scan's cameras, and when it makes no report."""
+"""Photos and cameras of the scan in the output of a run, and runs without a report."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ QUICK = (
 )
 
 
-def frame(number: int, **more: object) -> Frame:
+def make_frame(number: int, **more: object) -> Frame:
     pose = np.eye(4)
     pose[0, 3] = number
     image = np.full((60, 80, 3), 10 * number, np.uint8)
@@ -35,13 +35,13 @@ def frame(number: int, **more: object) -> Frame:
     return Frame(f"f{number}", camera, color=image, world_from_camera=pose, **more)
 
 
-def written(tmp_path, frames, count):
+def write_and_load(tmp_path, frames, count):
     made = write_photos(tmp_path, frames, count)
     return made, json.loads((tmp_path / CAMERAS_FILE).read_text())["cameras"]
 
 
-def test_photos_are_spread_evenly_and_of_the_frame_they_name(tmp_path):
-    made, cameras = written(tmp_path, [frame(k) for k in range(21)], 5)
+def test_photos_are_spread_evenly_and_match_their_frames(tmp_path):
+    made, cameras = write_and_load(tmp_path, [make_frame(k) for k in range(21)], 5)
     assert made == 5
     assert [k for k, one in enumerate(cameras) if one["photo"]] == [0, 5, 10, 15, 20]
     for k in (0, 10, 20):
@@ -52,8 +52,8 @@ def test_photos_are_spread_evenly_and_of_the_frame_they_name(tmp_path):
         assert cameras[k]["world_from_camera"][3] == k
 
 
-def test_frames_that_were_held_out_follow_and_are_told_apart(tmp_path):
-    made = write_photos(tmp_path, [frame(k) for k in range(6)], 100, [frame(k) for k in (7, 8)])
+def test_held_out_frames_are_marked_and_listed_last(tmp_path):
+    made = write_photos(tmp_path, [make_frame(k) for k in range(6)], 100, [make_frame(k) for k in (7, 8)])
     cameras = json.loads((tmp_path / CAMERAS_FILE).read_text())["cameras"]
     assert made == 8
     assert [one["frame"] for one in cameras if one["held_out"]] == ["f7", "f8"]
@@ -61,44 +61,44 @@ def test_frames_that_were_held_out_follow_and_are_told_apart(tmp_path):
 
 
 @pytest.mark.parametrize("count", [0, 1, 100])
-def test_as_many_as_there_are(tmp_path, count):
-    made, cameras = written(tmp_path, [frame(k) for k in range(3)], count)
+def test_the_number_of_photos_is_limited_by_the_frames(tmp_path, count):
+    made, cameras = write_and_load(tmp_path, [make_frame(k) for k in range(3)], count)
     assert made == min(count, 3)
     assert len(cameras) == 3
 
 
-def test_the_place_of_the_colour_camera_is_told(tmp_path):
-    beside = np.eye(4)
-    beside[1, 3] = 0.1  # takes points of the depth camera to the colour camera
+def test_the_pose_of_the_colour_camera_is_written(tmp_path):
+    color_pose = np.eye(4)
+    color_pose[1, 3] = 0.1  # maps points from the depth camera to the colour camera
     lens = Camera(160, 120, 150, 151, 80, 60, (0.1, 0.0, 0.0, 0.0))
-    _, (told,) = written(tmp_path, [frame(1, color_camera=lens, color_from_depth=beside)], 0)
+    _, (told,) = write_and_load(tmp_path, [make_frame(1, color_camera=lens, color_from_depth=color_pose)], 0)
     assert told["size"] == [160, 120]
     assert (told["fx"], told["fy"]) == (150, 151)
     np.testing.assert_allclose(np.array(told["world_from_camera"]).reshape(4, 4)[:3, 3], (1, -0.1, 0))
 
 
-def test_what_cannot_be_read_or_has_no_pose_is_no_photo(tmp_path):
+def test_unreadable_images_and_frames_without_poses_are_skipped(tmp_path):
     lost = Frame(
         "lost", Camera(80, 60, 70, 70, 39.5, 29.5), color=tmp_path / "none.png", world_from_camera=np.eye(4)
     )
     unplaced = Frame("unplaced", Camera(80, 60, 70, 70, 39.5, 29.5))
-    made, cameras = written(tmp_path, [lost, unplaced, frame(2)], 10)
+    made, cameras = write_and_load(tmp_path, [lost, unplaced, make_frame(2)], 10)
     assert made == 1
     assert [one["frame"] for one in cameras] == ["lost", "f2"]
     assert cameras[0]["photo"] is None
 
 
-def test_of_a_long_recording_only_some_cameras_are_told(tmp_path):
+def test_the_number_of_cameras_is_limited_for_long_recordings(tmp_path):
     lens = Camera(80, 60, 70, 70, 39.5, 29.5)
     frames = [Frame(f"f{k}", lens, world_from_camera=np.eye(4)) for k in range(5000)]
-    _, cameras = written(tmp_path, frames, 10)
+    _, cameras = write_and_load(tmp_path, frames, 10)
     assert len(cameras) == 2000
     assert (cameras[0]["frame"], cameras[-1]["frame"]) == ("f0", "f4999")
     assert json.loads((tmp_path / CAMERAS_FILE).read_text())["posed"] == 5000
 
 
 @pytest.mark.slow
-def test_a_run_tells_as_much_as_it_is_asked(tmp_path, monkeypatch):
+def test_a_run_reports_as_much_as_requested(tmp_path, monkeypatch):
     monkeypatch.delenv(CACHE_VARIABLE, raising=False)
     quiet = Config().set([*QUICK, "texture.enabled=false"])
     made = run(SCAN, tmp_path, quiet.set(["report.photos=3"]))
@@ -125,6 +125,6 @@ def test_a_run_tells_as_much_as_it_is_asked(tmp_path, monkeypatch):
     assert (tmp_path / "simplified.glb").exists()
 
 
-def test_the_report_can_be_switched_off():
+def test_the_report_can_be_disabled():
     why = list_skip_reasons(read_scan(SCAN), Config().set(["report.enabled=false"]))["report"]
     assert "report.enabled=true" in why

@@ -1,4 +1,7 @@
-"""Presets: what they set, that what is given by itself wins, and that keys change only where results may."""
+"""Quality presets:
+
+their parameters, precedence of explicit parameters, and unchanged keys of unaffected stages.
+"""
 
 import pytest
 
@@ -11,13 +14,13 @@ from scanloom.stages.params import flatten, get_value
 OTHERS = sorted(set(QUALITIES) - {STANDARD})
 
 
-def test_standard_is_the_defaults():
+def test_standard_equals_the_defaults():
     assert Config.from_quality(STANDARD) == Config()
     assert Config.loads('quality = "standard"') == Config()
 
 
 @pytest.mark.parametrize("quality", OTHERS)
-def test_a_quality_sets_what_it_names_and_nothing_else(quality):
+def test_a_quality_sets_only_its_own_parameters(quality):
     config, usual = Config.from_quality(quality), Config()
     sections = [name for name in Config.get_types() if getattr(config, name) != getattr(usual, name)]
     assert sorted(sections) == sorted(QUALITIES[quality])
@@ -28,7 +31,7 @@ def test_a_quality_sets_what_it_names_and_nothing_else(quality):
 
 
 @pytest.mark.parametrize("quality", OTHERS)
-def test_stages_that_a_quality_leaves_alone_keep_their_keys(quality):
+def test_stages_unaffected_by_a_quality_keep_their_keys(quality):
     config, left = Config.from_quality(quality), []
     for stage in STAGES:
         params = [{name: one.to_canonical(name) for name in stage.sections} for one in (config, Config())]
@@ -38,7 +41,7 @@ def test_stages_that_a_quality_leaves_alone_keep_their_keys(quality):
     assert {"clean", "refine", "adjust"} <= set(left)
 
 
-def test_what_is_given_wins_even_where_it_is_the_default():
+def test_explicit_parameters_win_even_if_equal_to_the_default():
     text = 'quality = "draft"\n[fuse]\nvoxel_factor = 1\n[texture]\nquality = 80\n'
     config = Config.loads(text).set(["report.pictures=true"])
     assert config.fuse.voxel_factor == 1.0
@@ -47,7 +50,7 @@ def test_what_is_given_wins_even_where_it_is_the_default():
     assert config.texture.alignment_iterations == QUALITIES["draft"]["texture"]["alignment_iterations"]
 
 
-def test_the_quality_that_is_asked_for_wins_over_that_of_the_file():
+def test_an_explicit_quality_wins_over_the_file():
     text = 'quality = "draft"\n[fuse]\nvoxel_size = 0.5\n'
     config = Config.loads(text, quality="best")
     assert config == Config.from_quality("best").set(["fuse.voxel_size=0.5"])
@@ -55,13 +58,13 @@ def test_the_quality_that_is_asked_for_wins_over_that_of_the_file():
 
 
 @pytest.mark.parametrize("quality", QUALITIES)
-def test_a_printed_configuration_keeps_what_a_quality_set(quality):
+def test_a_printed_configuration_keeps_the_parameters_of_a_quality(quality):
     text = Config.from_quality(quality).dumps()
     assert Config.loads(text) == Config.from_quality(quality)
 
 
 @pytest.mark.parametrize("text", ['quality = "drafty"', "quality = 3", "quality = []", "[quality]"])
-def test_another_word_is_refused_with_those_there_are(text):
+def test_an_unknown_quality_is_refused_with_a_list(text):
     for quality in (None, "best"):
         with pytest.raises(
             UsageError, match=r"^f\.toml: quality is .*; it must be one of draft, standard, best"

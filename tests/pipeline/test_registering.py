@@ -1,4 +1,4 @@
-"""A run on a scan without poses: they are found once, kept, and used by what comes after."""
+"""A run on a scan without poses: poses are estimated once, cached, and used by later stages."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def config(*more: str) -> Config:
     return Config().set([*QUICK, *more])
 
 
-def test_poses_are_found_kept_and_fused_with(unposed: Path, tmp_path: Path) -> None:
+def test_poses_are_estimated_cached_and_used_for_fusion(unposed: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     first = run(unposed, out, config())
     assert [outcome.stage for outcome in first.stages][:3] == ["register", "adjust", "fuse"]
@@ -71,18 +71,18 @@ def test_poses_are_found_kept_and_fused_with(unposed: Path, tmp_path: Path) -> N
     assert [outcome.cached for outcome in again.stages][:3] == [True, True, False]
 
 
-def test_pieces_are_fused_apart(unposed: Path, tmp_path: Path) -> None:
+def test_disconnected_components_are_fused_separately(unposed: Path, tmp_path: Path) -> None:
     folder = tmp_path / "scan"
     shutil.copytree(unposed, folder)
     frames = json.loads((folder / "scan.json").read_text())["frames"]
     for frame in frames[12:]:
-        # What is seen in a mirror is another place.
+        # A mirrored view shows a scene that matches no other frame.
         for image in (frame["color"], frame["depth"]):
             pixels = cv2.imread(str(folder / image), cv2.IMREAD_UNCHANGED)
             cv2.imwrite(str(folder / image), pixels[:, ::-1])
     result = run(folder, tmp_path / "out", config("scan.every=2", "scan.last=17"), until="fuse")
     assert result.report["stages"]["register"]["metrics"]["pieces"] == [6, 3]
-    # What could be joined is there, the rest beside it: a warning, which --strict makes an error.
+    # The largest connected component is used; the rest only causes a warning, which --strict makes an error.
     assert result.unmet_requirements == ()
     sentence = result.report["stages"]["register"]["diagnostics"][0]["message"]
     assert sentence.startswith("the frames form 2 pieces that could not be connected; piece 1 is used")
@@ -110,13 +110,13 @@ def test_poses_of_a_scan_are_refined(tmp_path: Path) -> None:
         np.testing.assert_allclose(pose, true.world_from_camera, atol=0.01)
 
 
-def test_to_refine_has_no_effect_where_poses_are_adjusted(tmp_path: Path) -> None:
+def test_refine_has_no_effect_if_poses_are_adjusted(tmp_path: Path) -> None:
     made = run(SAMPLE, tmp_path / "out", config("register.refine=true"), until="fuse")
     assert [outcome.stage for outcome in made.stages] == ["adjust", "fuse"]
     assert any("register.refine has no effect" in text for text in map(str, made.diagnostics))
 
 
-def test_a_scan_with_poses_has_no_such_stage_unless_asked_for(tmp_path: Path) -> None:
+def test_a_scan_with_poses_is_registered_only_on_request(tmp_path: Path) -> None:
     plain = run(SAMPLE, tmp_path / "plain", config(), until="fuse")
     assert [outcome.stage for outcome in plain.stages] == ["adjust", "fuse"]
     with pytest.raises(UsageError, match="register does not apply to this scan: its frames have poses"):
@@ -125,13 +125,16 @@ def test_a_scan_with_poses_has_no_such_stage_unless_asked_for(tmp_path: Path) ->
     assert [outcome.stage for outcome in anew.stages] == ["register"]
 
 
-def test_a_scan_without_poses_is_refused_where_it_is_switched_off(unposed: Path, tmp_path: Path) -> None:
+def test_a_scan_without_poses_is_refused_if_registration_is_disabled(unposed: Path, tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"no poses: .*scan\.poses=FILE"):
         run(unposed, tmp_path / "out", config("register.enabled=false"))
 
 
 def test_time_stamps_reach_the_trajectory(unposed: Path, tmp_path: Path) -> None:
-    """A second run once gave the first one's times: they were in no key, for no stage computes with them."""
+    """Time stamps of the current scan are written, although no stage key depends on them.
+
+    No stage computes with time stamps. A second run once reused the time stamps of the first run.
+    """
     folder = tmp_path / "scan"
     shutil.copytree(unposed, folder)
 

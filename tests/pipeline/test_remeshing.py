@@ -1,4 +1,4 @@
-"""The optional stage: what it leaves, what it tells, and that nothing of it stays when it is left out."""
+"""The optional stage `remesh`: results, metrics, and removal of results when it is disabled."""
 
 import json
 from pathlib import Path
@@ -52,7 +52,7 @@ def _no_shared_cache(monkeypatch):
 
 @pytest.fixture
 def scan(tmp_path: Path) -> Path:
-    """Four frames of a wavy wall about a metre away."""
+    """Write four frames of a wavy wall about 1 m away."""
     folder = tmp_path / "scan"
     folder.mkdir()
     v, u = np.mgrid[0:72, 0:96]
@@ -70,26 +70,26 @@ def scan(tmp_path: Path) -> Path:
     return folder
 
 
-def quick(*assignments: str) -> Config:
+def make_quick_config(*assignments: str) -> Config:
     return Config().set([*QUICK, *assignments])
 
 
-def names(out: Path) -> list[str]:
+def list_names(out: Path) -> list[str]:
     return sorted(path.name for path in out.iterdir() if path.name != "cache")
 
 
-def told_up(out) -> list[float]:
+def read_up(out) -> list[float]:
     return json.loads((out / "report.json").read_text())["stages"]["upright"]["metrics"]["up"]
 
 
-def ran(result) -> list[str]:
+def list_computed(result) -> list[str]:
     return [outcome.stage for outcome in result.stages if not outcome.cached]
 
 
-def test_an_enabled_stage_leaves_the_finest_level_all_levels_and_the_file(scan, tmp_path):
+def test_an_enabled_remesh_stage_writes_levels_and_the_normal_mesh(scan, tmp_path):
     out = tmp_path / "out"
-    result = run(scan, out, quick("remesh.enabled=true"))
-    assert ran(result) == [
+    result = run(scan, out, make_quick_config("remesh.enabled=true"))
+    assert list_computed(result) == [
         "adjust",
         "fuse",
         "clean",
@@ -100,10 +100,10 @@ def test_an_enabled_stage_leaves_the_finest_level_all_levels_and_the_file(scan, 
         "export",
         "report",
     ]
-    assert names(out) == sorted([*PLAIN, *OWN])
+    assert list_names(out) == sorted([*PLAIN, *OWN])
     assert sorted(path.name for path in (out / "levels").iterdir()) == [f"level_{i}.ply" for i in range(3)]
     decoded = decode(out / "remeshed.snm")
-    assert decoded.mesh.up == pytest.approx(told_up(out))
+    assert decoded.mesh.up == pytest.approx(read_up(out))
     for level, mesh in enumerate(decoded.levels):
         np.testing.assert_array_equal(read_ply(out / "levels" / f"level_{level}.ply").vertices, mesh.vertices)
     assert (out / "remeshed.ply").read_bytes() == (out / "levels" / "level_2.ply").read_bytes()
@@ -119,12 +119,12 @@ def test_an_enabled_stage_leaves_the_finest_level_all_levels_and_the_file(scan, 
     for name in ("level_0", "level_1", "level_2", "distance"):
         assert f"pictures/remeshed-{name}.png" in told["pictures"]
         assert cv2.imread(str(out / "pictures" / f"remeshed-{name}.png")).shape == (48, 64, 3)
-    assert ran(run(scan, out, quick("remesh.enabled=true"))) == []
+    assert list_computed(run(scan, out, make_quick_config("remesh.enabled=true"))) == []
 
 
-def test_left_out_again_it_leaves_nothing_behind_and_the_others_alone(scan, tmp_path):
+def test_disabling_remesh_removes_its_results_and_keeps_all_others(scan, tmp_path):
     out = tmp_path / "out"
-    plain = run(scan, out, quick())
+    plain = run(scan, out, make_quick_config())
     assert [outcome.stage for outcome in plain.stages] == [
         "adjust",
         "fuse",
@@ -135,31 +135,31 @@ def test_left_out_again_it_leaves_nothing_behind_and_the_others_alone(scan, tmp_
         "export",
         "report",
     ]
-    assert names(out) == PLAIN
+    assert list_names(out) == PLAIN
     assert plain.report["normal_mesh"] is None
     before = sorted(path.name for path in (out / "pictures").iterdir())
-    assert ran(run(scan, out, quick("remesh.enabled=true"))) == ["remesh", "report"]
-    again = run(scan, out, quick())
-    assert ran(again) == []
-    assert names(out) == PLAIN
+    assert list_computed(run(scan, out, make_quick_config("remesh.enabled=true"))) == ["remesh", "report"]
+    again = run(scan, out, make_quick_config())
+    assert list_computed(again) == []
+    assert list_names(out) == PLAIN
     assert sorted(path.name for path in (out / "pictures").iterdir()) == before
-    assert ran(run(scan, out, quick("remesh.enabled=true"))) == []
-    assert names(out) == sorted([*PLAIN, *OWN])
+    assert list_computed(run(scan, out, make_quick_config("remesh.enabled=true"))) == []
+    assert list_names(out) == sorted([*PLAIN, *OWN])
 
 
-def test_its_parameters_decide_its_result_but_for_threads(scan, tmp_path):
+def test_the_key_of_remesh_depends_on_parameters_but_not_threads(scan, tmp_path):
     out = tmp_path / "out"
-    run(scan, out, quick("remesh.enabled=true"))
-    finer = run(scan, out, quick("remesh.enabled=true", "remesh.levels=3"))
-    assert ran(finer) == ["remesh", "report"]
+    run(scan, out, make_quick_config("remesh.enabled=true"))
+    finer = run(scan, out, make_quick_config("remesh.enabled=true", "remesh.levels=3"))
+    assert list_computed(finer) == ["remesh", "report"]
     assert "levels 2 → 3" in next(one for one in finer.stages if one.stage == "remesh").reason
-    run(scan, out, quick("remesh.enabled=true"))
-    assert ran(run(scan, out, quick("remesh.enabled=true", "remesh.threads=1"))) == []
+    run(scan, out, make_quick_config("remesh.enabled=true"))
+    assert list_computed(run(scan, out, make_quick_config("remesh.enabled=true", "remesh.threads=1"))) == []
     assert not (out / "levels" / "level_3.ply").exists()
 
 
 def test_until_remesh_has_no_report(scan, tmp_path):
-    result = run(scan, tmp_path / "out", quick("remesh.enabled=true"), until="remesh")
+    result = run(scan, tmp_path / "out", make_quick_config("remesh.enabled=true"), until="remesh")
     assert [outcome.stage for outcome in result.stages] == [
         "adjust",
         "fuse",
@@ -172,7 +172,7 @@ def test_until_remesh_has_no_report(scan, tmp_path):
     assert result.report["normal_mesh"] is None
 
 
-def test_levels_come_nearer_and_the_original_is_painted_where_they_are_not(tmp_path):
+def test_finer_levels_are_closer_and_the_picture_shows_the_distance(tmp_path):
     mesh = MESHES["ring"]()
     found = remesh(mesh, levels=2, base_triangles=100)
     view = viewpoints(mesh, 1, width=120)[0]
@@ -185,12 +185,12 @@ def test_levels_come_nearer_and_the_original_is_painted_where_they_are_not(tmp_p
     assert 0 < metrics["full_scale_m"] < farthest
     assert pictures == [*(f"remeshed-level_{level}.png" for level in range(3)), "remeshed-distance.png"]
     painted = cv2.imread(str(tmp_path / "remeshed-distance.png")).astype(int)
-    # Both ends of the scale are seen: dark blue, and yellow.
+    # Both ends of the scale occur: dark blue and yellow.
     assert ((painted[..., 0] > painted[..., 1] + 10) & (painted[..., 2] < 120)).any()
     assert (painted[..., 1] > painted[..., 0] + 60).any()
 
 
-def test_what_is_made_is_read_again(tmp_path):
+def test_the_written_normal_mesh_can_be_read(tmp_path):
     mesh = MESHES["holed"]()
     metrics = write_normal_mesh(tmp_path, mesh, RemeshSection(levels=1, base_triangles=100), ignore_progress)
     levels = NormalMeshFiles(tmp_path).load_levels()

@@ -15,7 +15,7 @@ from scanloom.stages.surface.mesh import Mesh
 SQUARE = Mesh(
     np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0.0]]), np.array([[0, 1, 2], [0, 2, 3]], np.int32)
 )
-# The square and an island a metre above it, which cleaning removes.
+# The square and a small component a metre above it, which cleaning removes.
 WITH_ISLAND = Mesh(
     np.vstack([SQUARE.vertices, SQUARE.vertices[:3] * 0.1 + (0, 0, 1)]),
     np.vstack([SQUARE.triangles, [[4, 5, 6]]]).astype(np.int32),
@@ -28,7 +28,7 @@ MESHES = {
 SMALL = ReportParams(viewpoints=1, width=64)
 
 
-def test_islands_that_were_removed_do_not_count_as_an_error_of_simplification(tmp_path):
+def test_removed_components_do_not_count_as_simplification_error(tmp_path):
     mesh = make(tmp_path, MESHES, [], CompareParams(samples=1000), SMALL)["mesh"]
     assert mesh["to_fused"]["distance"]["b_to_a"]["maximum_m"] == pytest.approx(0.01)
     assert mesh["to_fused"]["distance"]["a_to_b"]["maximum_m"] == pytest.approx(0.99)
@@ -37,7 +37,7 @@ def test_islands_that_were_removed_do_not_count_as_an_error_of_simplification(tm
     assert mesh["to_fused"] == alone, "the report measures as compare does"
 
 
-def test_the_result_is_measured_with_signs_once_for_its_page(tmp_path):
+def test_signed_deviations_are_measured_once_for_the_page(tmp_path):
     made = make(tmp_path, MESHES, [], CompareParams(samples=1000), replace(SMALL, pictures=False))
     told = made["deviation"]
     assert told["is_signed"]
@@ -49,7 +49,7 @@ def test_the_result_is_measured_with_signs_once_for_its_page(tmp_path):
     assert made["pictures"] == []
 
 
-def test_pictures_are_the_same_whatever_is_drawn_beside_them(tmp_path):
+def test_pictures_do_not_depend_on_other_pictures(tmp_path):
     for name in ("a", "b"):
         (tmp_path / name).mkdir()
     small = CompareParams(samples=100)
@@ -63,15 +63,15 @@ def test_pictures_are_the_same_whatever_is_drawn_beside_them(tmp_path):
 
 
 def _count_orange(path):
-    """Return the number of orange pixels below the caption."""
+    """Count orange pixels below the caption."""
     red, green, blue = (
         cv2.cvtColor(cv2.imread(str(path)), cv2.COLOR_BGR2RGB)[30:].astype(int).transpose(2, 0, 1)
     )
     return np.count_nonzero((red > green + 60) & (green > blue + 30))
 
 
-def test_filled_holes_have_a_picture_of_the_side_that_shows_them(tmp_path):
-    """The upper one of two facing sheets has a filled hole, which only views from below face."""
+def test_filled_holes_are_drawn_from_their_visible_side(tmp_path):
+    """The upper of two sheets that face each other has a filled hole, visible only from below."""
     grid = np.stack(np.meshgrid(*[np.linspace(-1, 1, 9)] * 2, indexing="ij"), axis=-1).reshape(-1, 2)
     first = (np.arange(8)[:, None] * 9 + np.arange(8)).reshape(-1)
     corners = np.stack([first, first + 9, first + 10, first + 1], axis=1)

@@ -1,4 +1,4 @@
-"""What stands in the output folder, and what a run says while it works."""
+"""Files in the output folder, and events during a run."""
 
 import errno
 import json
@@ -17,14 +17,14 @@ from scanloom.stages.diagnostics.errors import InputError, StageError
 NAMES = ["cut.bin", "mixed.bin", "tables/counts.txt"]
 
 
-def files(out):
-    """Names of the files a person sees."""
+def list_files(out):
+    """List the visible files in the output folder."""
     found = [path.relative_to(out) for path in out.rglob("*") if path.is_file()]
     return sorted(str(path) for path in found if path.parts[0] != "cache")
 
 
-def contents(out):
-    return [(out / name).read_bytes() for name in files(out)]
+def read_files(out):
+    return [(out / name).read_bytes() for name in list_files(out)]
 
 
 def fail(inputs, params, context):  # noqa: ARG001
@@ -33,13 +33,13 @@ def fail(inputs, params, context):  # noqa: ARG001
 
 @pytest.fixture
 def out(toy, scan, tmp_path):
-    """An output folder after a first run."""
+    """Make an output folder with the results of a first run."""
     toy.run(scan, tmp_path / "out")
     return tmp_path / "out"
 
 
-def test_results_stand_under_plain_names(toy, scan, out):
-    assert files(out) == NAMES
+def test_results_have_plain_names(toy, scan, out):
+    assert list_files(out) == NAMES
     outcomes = toy.run(scan, out)
     assert [path.relative_to(out).as_posix() for o in outcomes for path in o.results] == [
         "mixed.bin",
@@ -48,25 +48,25 @@ def test_results_stand_under_plain_names(toy, scan, out):
     ]
 
 
-def test_results_that_are_right_are_not_written_again(toy, scan, out):
+def test_unchanged_results_are_not_written_again(toy, scan, out):
     before = [(out / name).stat() for name in NAMES]
     toy.run(scan, out)
     after = [(out / name).stat() for name in NAMES]
     assert [(s.st_ino, s.st_mtime_ns) for s in after] == [(s.st_ino, s.st_mtime_ns) for s in before]
 
 
-def test_changed_and_deleted_results_come_back(toy, scan, out):
-    expected = contents(out)
+def test_changed_and_deleted_results_are_restored(toy, scan, out):
+    expected = read_files(out)
     (out / "mixed.bin").write_bytes(b"edited")
     (out / "cut.bin").unlink()
     data = bytearray((out / "tables" / "counts.txt").read_bytes())
     data[0] ^= 1
     (out / "tables" / "counts.txt").write_bytes(data)
     assert all(outcome.cached for outcome in toy.run(scan, out, overwrite=True))
-    assert contents(out) == expected
+    assert read_files(out) == expected
 
 
-def test_editing_a_result_does_not_reach_into_the_cache(toy, scan, out):
+def test_editing_a_result_does_not_change_the_cache(toy, scan, out):
     with (out / "mixed.bin").open("r+b") as file:
         file.write(b"edited in place")
     warnings = []
@@ -74,7 +74,7 @@ def test_editing_a_result_does_not_reach_into_the_cache(toy, scan, out):
     assert warnings == []
 
 
-def test_what_somebody_edited_is_not_replaced_unless_that_is_asked_for(toy, scan, out):
+def test_edited_files_are_replaced_only_on_request(toy, scan, out):
     edited = out / "tables" / "counts.txt"
     edited.write_bytes(b"edited")
     with pytest.raises(
@@ -86,41 +86,41 @@ def test_what_somebody_edited_is_not_replaced_unless_that_is_asked_for(toy, scan
     assert edited.read_bytes() == b"edited"
     assert toy.run(scan, out, "cut.far=3", overwrite=True)
     assert edited.read_bytes() != b"edited"
-    # What was replaced on demand is ours again.
+    # A replaced file belongs to the run again.
     assert toy.run(scan, out)
 
 
-def test_before_a_stage_runs_its_old_results_and_the_later_ones_leave(toy, scan, out):
+def test_old_results_are_removed_before_their_stage_runs(toy, scan, out):
     plan = (toy.PLAN[0], replace(toy.PLAN[1], run=fail), toy.PLAN[2])
     with pytest.raises(InputError, match="no such luck"):
         toy.run(scan, out, "cut.far=3", plan=plan)
-    assert files(out) == ["mixed.bin"]
+    assert list_files(out) == ["mixed.bin"]
     assert toy.run(scan, out)
-    assert files(out) == NAMES
+    assert list_files(out) == NAMES
 
 
-def test_what_a_person_put_or_changed_there_stays(toy, scan, out):
+def test_files_of_users_stay(toy, scan, out):
     (out / "mine.txt").write_text("mine")
     (out / "tables" / "mine.txt").write_text("mine")
     (out / "cut.bin").write_bytes(b"edited")
     plan = (toy.PLAN[0], replace(toy.PLAN[1], run=fail), toy.PLAN[2])
     with pytest.raises(InputError):
         toy.run(scan, out, "cut.far=3", plan=plan)
-    assert files(out) == ["cut.bin", "mine.txt", "mixed.bin", "tables/mine.txt"]
+    assert list_files(out) == ["cut.bin", "mine.txt", "mixed.bin", "tables/mine.txt"]
     assert (out / "cut.bin").read_bytes() == b"edited"
 
 
-def test_until_removes_later_results_that_do_not_follow_any_more(toy, scan, out):
+def test_until_removes_outdated_later_results(toy, scan, out):
     assert [o.stage for o in toy.run(scan, out, "mix.gain=0.25", until="cut")] == ["mix", "cut"]
-    assert files(out) == ["cut.bin", "mixed.bin"]
+    assert list_files(out) == ["cut.bin", "mixed.bin"]
 
 
-def test_until_leaves_later_results_that_still_follow(toy, scan, out):
+def test_until_keeps_valid_later_results(toy, scan, out):
     assert [o.cached for o in toy.run(scan, out, until="mix")] == [True]
-    assert files(out) == NAMES
+    assert list_files(out) == NAMES
 
 
-def test_files_a_stage_no_longer_writes_leave(toy, scan, out):
+def test_files_that_a_stage_no_longer_writes_are_removed(toy, scan, out):
     def count_otherwise(inputs, params, context):  # noqa: ARG001
         (context.folder / "tables").mkdir()
         (context.folder / "tables" / "other.txt").write_text("4")
@@ -128,28 +128,28 @@ def test_files_a_stage_no_longer_writes_leave(toy, scan, out):
 
     plan = (*toy.PLAN[:2], replace(toy.PLAN[2], versions=toy.at(count=2), run=count_otherwise))
     toy.run(scan, out, plan=plan)
-    assert files(out) == ["cut.bin", "mixed.bin", "tables/other.txt"]
+    assert list_files(out) == ["cut.bin", "mixed.bin", "tables/other.txt"]
 
 
 def test_output_inside_the_scan_folder_changes_nothing(toy, scan):
-    before = files(scan)
+    before = list_files(scan)
     toy.run(scan, scan / "out")
     assert all(outcome.cached for outcome in toy.run(scan, scan / "out"))
-    assert [name for name in files(scan) if not name.startswith("out/")] == before
+    assert [name for name in list_files(scan) if not name.startswith("out/")] == before
 
 
 def test_cache_elsewhere_is_shared_by_output_folders(toy, scan, tmp_path):
     cache = tmp_path / "shared"
     toy.run(scan, tmp_path / "a", cache=cache)
     assert all(outcome.cached for outcome in toy.run(scan, tmp_path / "b", cache=cache))
-    assert files(tmp_path / "b") == NAMES
+    assert list_files(tmp_path / "b") == NAMES
     assert not (tmp_path / "b" / "cache").exists()
 
 
 def test_drafts_of_killed_copies_are_removed(toy, scan, out):
     (out / ".cut.bin.0123abcd.part").write_bytes(b"half")
     toy.run(scan, out)
-    assert files(out) == NAMES
+    assert list_files(out) == NAMES
 
 
 def test_full_disk_while_results_are_placed(toy, scan, out, monkeypatch):
@@ -161,10 +161,10 @@ def test_full_disk_while_results_are_placed(toy, scan, out, monkeypatch):
     monkeypatch.setattr("scanloom.pipeline.cache.atomic_files.shutil.copyfile", refuse)
     with pytest.raises(StageError, match=r"results cannot be written to .*: the disk is full"):
         toy.run(scan, out)
-    assert files(out) == ["mixed.bin", "tables/counts.txt"]
+    assert list_files(out) == ["mixed.bin", "tables/counts.txt"]
 
 
-def test_failures_of_the_machine_in_a_stage_are_one_sentence(toy, scan, tmp_path):
+def test_system_failures_in_a_stage_are_one_sentence(toy, scan, tmp_path):
     def starve(*_):
         raise MemoryError
 
@@ -188,11 +188,11 @@ def test_scan_that_changes_while_a_stage_reads_it_is_not_kept(toy, scan, tmp_pat
     plan = (replace(toy.PLAN[0], run=slow), *toy.PLAN[1:])
     with pytest.raises(StageError, match=r"01\.raw changed while it was being read"):
         toy.run(scan, tmp_path / "out", plan=plan)
-    assert files(tmp_path / "out") == []
+    assert list_files(tmp_path / "out") == []
     assert [o.cached for o in toy.run(scan, tmp_path / "out")] == [False] * 3
 
 
-def test_events_tell_the_story(toy, scan, tmp_path):
+def test_events_report_the_progress_of_a_run(toy, scan, tmp_path):
     told = []
     toy.run(scan, tmp_path / "out", events=told.append, until="mix")
     assert told[:4] == [
@@ -212,7 +212,7 @@ def test_events_tell_the_story(toy, scan, tmp_path):
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="elsewhere the peak is that of the whole run")
-def test_peak_memory_of_a_stage_is_its_own(toy, scan, tmp_path):
+def test_peak_memory_is_measured_per_stage(toy, scan, tmp_path):
     def hungry(inputs, params, context):
         block = bytearray(200_000_000)
         block[::4096] = b"x" * len(block[::4096])
@@ -235,14 +235,14 @@ def test_two_runs_with_other_parameters_take_turns(toy, scan, tmp_path):
     alone = []
     for gain in (0.1, 0.2, 0.3):
         toy.run(scan, tmp_path / str(gain), f"mix.gain={gain}")
-        alone.append(contents(tmp_path / str(gain)))
-    assert contents(out) in alone
+        alone.append(read_files(tmp_path / str(gain)))
+    assert read_files(out) in alone
 
 
 NESTED = "[" * 500 + "]" * 500
 
 
-def decided_by(text):
+def format_record(text):
     return f'{{"mix": {{"placed": {{}}, "decided": {text}}}}}'
 
 
@@ -251,22 +251,22 @@ def decided_by(text):
     [
         *("[]", "1", '{"mix": 1}', '{"mix": {}}', '{"mix": {"placed": [], "decided": {}}}', NESTED),
         '{"mix": {"placed": {}, "decided": {"recipe": 1, "parts": 2}}}',
-        decided_by('{"recipe": {"params": {"mix": 1}, "libraries": {}}, "parts": {}}'),
-        decided_by('{"recipe": {"params": {}, "libraries": 1}, "parts": {"frames": 1}}'),
-        decided_by(NESTED),
+        format_record('{"recipe": {"params": {"mix": 1}, "libraries": {}}, "parts": {}}'),
+        format_record('{"recipe": {"params": {}, "libraries": 1}, "parts": {"frames": 1}}'),
+        format_record(NESTED),
     ],
 )
-def test_a_record_that_no_run_wrote_explains_nothing(toy, scan, out, stages):
+def test_a_damaged_record_gives_no_reasons(toy, scan, out, stages):
     [record] = (out / "cache" / "runs").glob("*.json")
     record.write_text(f'{{"schema": 1, "keys": [], "stages": {stages}}}')
     (scan / "01.raw").write_bytes(bytes(64))
-    # Nothing tells any more whose the files are.
+    # Without a valid record, the owner of the files is unknown.
     outcomes = toy.run(scan, out, overwrite=True)
     assert outcomes[0].reason == "first run"
-    assert files(out) == NAMES
+    assert list_files(out) == NAMES
 
 
-def test_a_record_takes_away_no_files_elsewhere(toy, scan, out):
+def test_a_record_cannot_remove_files_outside_the_folder(toy, scan, out):
     mine = out.parent / "mine.txt"
     mine.write_bytes(b"mine")
     [record] = (out / "cache" / "runs").glob("*.json")

@@ -1,4 +1,4 @@
-"""The real stages, on scans of a few small frames."""
+"""The real stages on scans of a few small frames."""
 
 import contextlib
 import json
@@ -59,14 +59,14 @@ def _no_shared_cache(monkeypatch):
     monkeypatch.delenv(CACHE_VARIABLE, raising=False)
 
 
-def moved(x: float) -> np.ndarray:
+def make_shifted_pose(x: float) -> np.ndarray:
     pose = np.eye(4)
     pose[0, 3] = x
     return pose
 
 
 def write_rgbd(folder: Path) -> Path:
-    """Write six frames that pass a ball of 0.25 m before a wall 1.2 m away."""
+    """Write six frames of a camera that passes a sphere of 0.25 m in front of a wall 1.2 m away."""
     for name in ("color", "depth"):
         (folder / name).mkdir(parents=True)
     columns, rows = np.meshgrid(np.arange(WIDTH), np.arange(HEIGHT))
@@ -93,7 +93,7 @@ def write_rgbd(folder: Path) -> Path:
                 CAMERA,
                 folder / "color" / name,
                 depth=folder / "depth" / name,
-                world_from_camera=moved(x),
+                world_from_camera=make_shifted_pose(x),
             )
         )
     write_scan_json(folder, frames)
@@ -102,21 +102,24 @@ def write_rgbd(folder: Path) -> Path:
 
 @pytest.fixture
 def rgbd(tmp_path: Path) -> Path:
-    """The test's own RGB-D scan."""
+    """Write a separate RGB-D scan for each test."""
     return write_rgbd(tmp_path / "rgbd")
 
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """What a quick run makes of the RGB-D scan, and its cache: a test goes on from there with a copy."""
+    """Run the RGB-D scan once; tests continue with copies of its results and cache."""
     folder = tmp_path_factory.mktemp("made")
-    run(write_rgbd(folder / "rgbd"), folder / "out", quick(), cache_dir=folder / "out" / "cache")
+    run(write_rgbd(folder / "rgbd"), folder / "out", make_quick_config(), cache_dir=folder / "out" / "cache")
     return folder / "out"
 
 
 @pytest.fixture
 def stereo(tmp_path: Path) -> Path:
-    """Four pairs of a textured wall: 16 px of disparity at f = 140 px and b = 0.1 m put it 0.875 m away."""
+    """Write four stereo pairs of a textured wall:
+
+    16 px of disparity, f = 140 px, b = 0.1 m, so 0.875 m away.
+    """
     folder = tmp_path / "stereo"
     for name in ("left", "right"):
         (folder / name).mkdir(parents=True)
@@ -128,7 +131,7 @@ def stereo(tmp_path: Path) -> Path:
         at = 8 * i
         cv2.imwrite(str(folder / "left" / f"{i:04d}.png"), wall[:, at : at + WIDTH])
         cv2.imwrite(str(folder / "right" / f"{i:04d}.png"), wall[:, at + 16 : at + 16 + WIDTH])
-        poses.append(" ".join(map(str, moved(at * 0.875 / FOCAL)[:3].ravel())))
+        poses.append(" ".join(map(str, make_shifted_pose(at * 0.875 / FOCAL)[:3].ravel())))
     (folder / "poses.txt").write_text("\n".join(poses) + "\n")
     matrix = CAMERA.matrix.tolist()
     calibration = {"K1": matrix, "K2": matrix, "R": np.eye(3).tolist(), "T": [-0.1, 0, 0], "rectified": True}
@@ -136,39 +139,48 @@ def stereo(tmp_path: Path) -> Path:
     return folder
 
 
-def quick(*assignments: str) -> Config:
+def make_quick_config(*assignments: str) -> Config:
     return Config().set([*QUICK, *assignments])
 
 
-def ran(result) -> list[str]:
+def list_computed(result) -> list[str]:
     return [outcome.stage for outcome in result.stages if not outcome.cached]
 
 
-def names(out: Path) -> list[str]:
+def list_names(out: Path) -> list[str]:
     return sorted(path.name for path in out.iterdir() if path.name != "cache")
 
 
-def results(out: Path) -> dict[str, bytes]:
-    """Every result but the report, which tells of seconds."""
+def read_results(out: Path) -> dict[str, bytes]:
+    """Read every result except the report, which contains times."""
     paths = [*out.glob("*.ply"), *(path for path in out.glob("pictures/**/*") if path.is_file())]
     return {str(path.relative_to(out)): path.read_bytes() for path in paths}
 
 
-def snapshot(folder: Path) -> list[tuple]:
+def list_file_states(folder: Path) -> list[tuple]:
     return sorted((str(path), path.stat().st_mtime_ns, path.stat().st_size) for path in folder.rglob("*"))
 
 
 def test_rgbd_scan_to_mesh_and_report(rgbd, tmp_path):
     out = tmp_path / "out"
-    before = snapshot(rgbd)
+    before = list_file_states(rgbd)
     events = []
-    result = run(rgbd, out, quick(), events=events.append)
-    assert snapshot(rgbd) == before, "the scan is only read"
+    result = run(rgbd, out, make_quick_config(), events=events.append)
+    assert list_file_states(rgbd) == before, "the scan is only read"
     assert events[0] == RunStarted(
         "plain-rgbd", 6, ("adjust", "fuse", "clean", "refine", "upright", "simplify", "texture", "report")
     )
-    assert ran(result) == ["adjust", "fuse", "clean", "refine", "upright", "simplify", "texture", "report"]
-    assert names(out) == PLAIN
+    assert list_computed(result) == [
+        "adjust",
+        "fuse",
+        "clean",
+        "refine",
+        "upright",
+        "simplify",
+        "texture",
+        "report",
+    ]
+    assert list_names(out) == PLAIN
 
     report = json.loads((out / "report.json").read_text())
     assert report == result.report
@@ -249,17 +261,17 @@ def test_second_run_is_cached_and_imports_nothing_heavy(rgbd, made, tmp_path):
         ("depth.sgbm.block_size=5", []),
     ],
 )
-def test_one_parameter_reruns_its_stage_and_what_follows(rgbd, made, tmp_path, assignment, expected):
+def test_a_parameter_reruns_its_stage_and_later_stages(rgbd, made, tmp_path, assignment, expected):
     shutil.copytree(made, tmp_path / "out")
-    result = run(rgbd, tmp_path / "out", quick(assignment))
-    assert ran(result) == expected
+    result = run(rgbd, tmp_path / "out", make_quick_config(assignment))
+    assert list_computed(result) == expected
     if expected:
         name = assignment.partition("=")[0]
         assert name.split(".")[1] in next(o.reason for o in result.stages if not o.cached)
 
 
-def test_every_section_decides_one_stage():
-    # How folders are read shows in what is read.
+def test_every_section_belongs_to_one_stage():
+    # Parameters for reading folders affect the key through the scan itself.
     used = [section for stage in STAGES for section in stage.sections]
     assert sorted([*used, "scan", "photos", "cache"]) == sorted(Config.get_types())
 
@@ -277,9 +289,9 @@ def test_configuration_prints_and_reads_back():
 
 
 @pytest.mark.slow
-def test_results_do_not_depend_on_the_run(rgbd, made, tmp_path):
-    run(rgbd, tmp_path / "out", quick())
-    assert results(tmp_path / "out") == results(made)
+def test_results_are_deterministic(rgbd, made, tmp_path):
+    run(rgbd, tmp_path / "out", make_quick_config())
+    assert read_results(tmp_path / "out") == read_results(made)
 
 
 @pytest.mark.slow
@@ -301,17 +313,17 @@ def test_killed_at_random_moments_and_restarted(rgbd, tmp_path):
         kills += process.returncode == -signal.SIGKILL
         assert all(entry.problem is None for entry in Cache(out / "cache").verify())
     assert kills > 0
-    run(rgbd, out, quick())
-    assert results(out) == results(tmp_path / "whole")
-    assert names(out) == PLAIN
+    run(rgbd, out, make_quick_config())
+    assert read_results(out) == read_results(tmp_path / "whole")
+    assert list_names(out) == PLAIN
     assert not list((out / "cache" / "drafts").iterdir())
 
 
 def test_stereo_scan_leaves_its_depth_as_a_scan(stereo, tmp_path):
     out = tmp_path / "out"
-    result = run(stereo, out, quick(), until="fuse")
-    assert ran(result) == ["depth", "adjust", "fuse"]
-    assert names(out) == ["fused.ply", "points.ply", "report.json"]
+    result = run(stereo, out, make_quick_config(), until="fuse")
+    assert list_computed(result) == ["depth", "adjust", "fuse"]
+    assert list_names(out) == ["fused.ply", "points.ply", "report.json"]
     assert result.report["mesh"] is None
 
     scan = read_scan(result.stages[0].folder)
@@ -328,15 +340,17 @@ def test_stereo_scan_leaves_its_depth_as_a_scan(stereo, tmp_path):
     points = read_ply(out / "points.ply")
     assert np.median(points.vertices[:, 2]) == pytest.approx(0.875, abs=0.005)
     assert points.colors is not None
-    assert ran(run(stereo, out, quick(), until="fuse")) == []
-    assert ran(run(stereo, out, quick("depth.threads=1"), until="fuse")) == []
-    assert ran(run(stereo, out, quick("depth.sgbm.uniqueness=6"), until="depth")) == ["depth"]
+    assert list_computed(run(stereo, out, make_quick_config(), until="fuse")) == []
+    assert list_computed(run(stereo, out, make_quick_config("depth.threads=1"), until="fuse")) == []
+    assert list_computed(run(stereo, out, make_quick_config("depth.sgbm.uniqueness=6"), until="depth")) == [
+        "depth"
+    ]
 
 
 def test_bad_frame_is_skipped_and_counted(rgbd, tmp_path):
     (rgbd / "depth" / "0003.png").write_bytes(b"not an image")
     for _ in ("made", "cached"):
-        result = run(rgbd, tmp_path / "out", quick("fuse.max_skipped_ratio=0.5"), until="fuse")
+        result = run(rgbd, tmp_path / "out", make_quick_config("fuse.max_skipped_ratio=0.5"), until="fuse")
         [skipped] = result.stages[1].metrics["frames_skipped"]
         assert "0003" in skipped["reason"]
         [warned] = result.diagnostics
@@ -344,14 +358,14 @@ def test_bad_frame_is_skipped_and_counted(rgbd, tmp_path):
         assert warned.code == "scan.frames-skipped"
 
 
-def test_a_skipped_frame_is_named_as_it_is_called_now(rgbd, tmp_path):
+def test_a_skipped_frame_is_reported_by_its_current_name(rgbd, tmp_path):
     (rgbd / "depth" / "0003.png").write_bytes(b"not an image")
-    options = quick("fuse.max_skipped_ratio=0.5")
+    options = make_quick_config("fuse.max_skipped_ratio=0.5")
     first = run(rgbd, tmp_path / "out", options, until="fuse")
     moved_to = tmp_path / "elsewhere"
     rgbd.rename(moved_to)
     again = run(moved_to, tmp_path / "out", options, until="fuse")
-    assert ran(again) == [], "a moved scan is the same scan"
+    assert list_computed(again) == [], "a moved scan is the same scan"
     for result in (first, again):
         [skipped] = result.stages[1].metrics["frames_skipped"]
         assert skipped["reason"].startswith("depth/0003.png: "), "not where it stood once"
@@ -363,38 +377,39 @@ def test_a_skipped_frame_is_named_as_it_is_called_now(rgbd, tmp_path):
     assert skipped["reason"].startswith("depth/third.png: ")
 
 
-def test_cache_is_kept_to_its_size_after_a_run(rgbd, tmp_path):
+def test_the_cache_size_is_limited_after_a_run(rgbd, tmp_path):
     out = tmp_path / "out"
-    run(rgbd, out, quick("fuse.voxel_size=0.03"), until="fuse")
-    first = run(rgbd, out, quick(), until="fuse").stages[1].folder
+    run(rgbd, out, make_quick_config("fuse.voxel_size=0.03"), until="fuse")
+    first = run(rgbd, out, make_quick_config(), until="fuse").stages[1].folder
     assert len(list(first.parent.iterdir())) == 2
-    again = run(rgbd, out, quick("cache.max_size=1 kB"), until="fuse")
-    assert ran(again) == []
+    again = run(rgbd, out, make_quick_config("cache.max_size=1 kB"), until="fuse")
+    assert list_computed(again) == []
     assert [path.name for path in first.parent.iterdir()] == [first.name]
     assert "more than cache.max_size" in str(again.diagnostics[-1])
 
 
-def test_poses_that_were_not_looked_at_are_looked_at_once_asked_for(rgbd, tmp_path):
+def test_unchecked_poses_are_checked_on_request(rgbd, tmp_path):
     listed = json.loads((rgbd / "scan.json").read_text())
     for frame in listed["frames"]:
         pose = np.array(frame["world_from_camera"])
         pose[0, 3] *= -15
         frame["world_from_camera"] = pose.tolist()
     (rgbd / "scan.json").write_text(json.dumps(listed))
-    plain = quick("scan.check_poses=false")
-    assert ran(run(rgbd, tmp_path / "out", plain, until="fuse")) == ["adjust", "fuse"]
-    with contextlib.suppress(
-        InputError
-    ):  # What it then says is a matter of test_poses_of_another_convention.
-        assert ran(run(rgbd, tmp_path / "out", quick(), until="fuse")) == ["adjust", "fuse"]
+    plain = make_quick_config("scan.check_poses=false")
+    assert list_computed(run(rgbd, tmp_path / "out", plain, until="fuse")) == ["adjust", "fuse"]
+    with contextlib.suppress(InputError):  # test_poses_of_another_convention checks the message
+        assert list_computed(run(rgbd, tmp_path / "out", make_quick_config(), until="fuse")) == [
+            "adjust",
+            "fuse",
+        ]
 
 
-def test_pairs_that_are_all_bad(stereo, tmp_path):
+def test_a_scan_of_unusable_pairs_is_refused(stereo, tmp_path):
     for path in stereo.glob("right/*.png"):
         cv2.imwrite(str(path), cv2.imread(str(path)).astype(np.uint16))
     with pytest.raises(InputError):
-        run(stereo, tmp_path / "out", quick("depth.max_skipped_ratio=1"))
-    assert names(tmp_path / "out") == []
+        run(stereo, tmp_path / "out", make_quick_config("depth.max_skipped_ratio=1"))
+    assert list_names(tmp_path / "out") == []
 
 
 @pytest.mark.parametrize("limit", [0.5, 1.0, 38.0, 655.35, 2000.0])
@@ -415,21 +430,21 @@ def test_edge_metrics_of_a_known_mesh():
 
 
 def test_output_may_not_be_the_scan(rgbd, tmp_path, monkeypatch):
-    before = snapshot(rgbd)
+    before = list_file_states(rgbd)
     with pytest.raises(UsageError, match="the output folder is the scan itself"):
         run(rgbd, rgbd)
     monkeypatch.setenv(CACHE_VARIABLE, str(rgbd))
     with pytest.raises(UsageError, match="the cache folder is the scan itself"):
         run(rgbd, tmp_path / "out")
-    assert snapshot(rgbd) == before
+    assert list_file_states(rgbd) == before
 
 
 def test_cache_folder_from_argument_and_environment(rgbd, tmp_path, monkeypatch):
     monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path / "shared"))
-    assert run(rgbd, tmp_path / "out", quick(), until="fuse").cache == tmp_path / "shared"
-    assert ran(run(rgbd, tmp_path / "other", quick(), until="fuse")) == []
-    given = run(rgbd, tmp_path / "out", quick(), until="fuse", cache_dir=tmp_path / "given")
-    assert ran(given) == ["adjust", "fuse"]
+    assert run(rgbd, tmp_path / "out", make_quick_config(), until="fuse").cache == tmp_path / "shared"
+    assert list_computed(run(rgbd, tmp_path / "other", make_quick_config(), until="fuse")) == []
+    given = run(rgbd, tmp_path / "out", make_quick_config(), until="fuse", cache_dir=tmp_path / "given")
+    assert list_computed(given) == ["adjust", "fuse"]
     assert given.cache == tmp_path / "given"
 
 
@@ -448,7 +463,7 @@ def test_cache_folder_from_argument_and_environment(rgbd, tmp_path, monkeypatch)
         ({"until": "lod"}, "lod is not enabled; set lod.enabled=true"),
     ],
 )
-def test_stages_that_are_not_there(rgbd, tmp_path, options, message):
+def test_unknown_stages_are_refused(rgbd, tmp_path, options, message):
     with pytest.raises(UsageError) as raised:
         run(rgbd, tmp_path / "out", **options)
     assert str(raised.value).startswith(message)
@@ -471,7 +486,7 @@ def test_poses_of_another_convention_stop_the_run(shared_data, tmp_path):
         run(scan, tmp_path / "out", config, until="fuse")
 
 
-def test_a_file_that_no_run_has_placed_is_not_replaced(rgbd, tmp_path):
+def test_files_of_users_are_not_replaced(rgbd, tmp_path):
     out = tmp_path / "out"
     out.mkdir()
     (out / "simplified.ply").write_bytes(b"mine")
@@ -480,38 +495,41 @@ def test_a_file_that_no_run_has_placed_is_not_replaced(rgbd, tmp_path):
     with pytest.raises(
         InputError, match=r"fused\.ply: this file was not written by a run, .* give run.overwrite"
     ) as refused:
-        run(rgbd, out, quick(), until="fuse")
+        run(rgbd, out, make_quick_config(), until="fuse")
     assert "\n" not in str(refused.value)
-    # Said before any work.
+    # Refused before any work.
     assert not list((out / "cache").glob("fuse/*"))
     (out / "fused.ply").unlink()
-    assert ran(run(rgbd, out, quick(), until="fuse")) == ["adjust", "fuse"]
+    assert list_computed(run(rgbd, out, make_quick_config(), until="fuse")) == ["adjust", "fuse"]
     with pytest.raises(InputError, match=r"simplified\.ply"):
-        run(rgbd, out, quick())
+        run(rgbd, out, make_quick_config())
     assert (out / "simplified.ply").read_bytes() == (out / "notes.txt").read_bytes() == b"mine"
-    run(rgbd, out, quick(), overwrite=True)
+    run(rgbd, out, make_quick_config(), overwrite=True)
     assert len(read_ply(out / "simplified.ply").triangles) > 0
     assert (out / "notes.txt").read_bytes() == b"mine"
 
 
-def test_a_folder_without_its_cache_still_knows_its_own_files(rgbd, tmp_path):
+def test_files_of_a_run_are_recognised_without_its_cache(rgbd, tmp_path):
     out = tmp_path / "out"
-    run(rgbd, out, quick(), until="clean")
+    run(rgbd, out, make_quick_config(), until="clean")
     shutil.rmtree(out / "cache")
-    assert ran(run(rgbd, out, quick("fuse.voxel_size=0.08"), until="fuse")) == ["adjust", "fuse"]
-    # What does not follow from it any more has gone, as ever.
-    assert names(out) == ["fused.ply", "report.json"]
+    assert list_computed(run(rgbd, out, make_quick_config("fuse.voxel_size=0.08"), until="fuse")) == [
+        "adjust",
+        "fuse",
+    ]
+    # Outdated later results are removed as usual.
+    assert list_names(out) == ["fused.ply", "report.json"]
     shutil.rmtree(out / "cache")
     report = out / "report.json"
     report.write_text(report.read_text().replace('"frames": ', '"frames": 1'))
     with pytest.raises(InputError, match=r"fused\.ply|report\.json"):
-        run(rgbd, out, quick(), until="clean")
+        run(rgbd, out, make_quick_config(), until="clean")
 
 
-def test_a_killed_run_leaves_nothing_that_it_does_not_know_again(rgbd, tmp_path, monkeypatch):
+def test_files_of_a_killed_run_are_recognised(rgbd, tmp_path, monkeypatch):
     out = tmp_path / "out"
-    run(rgbd, out, quick(), until="clean")
-    run(rgbd, out, quick("clean.min_island_area=0.5"), until="clean")
+    run(rgbd, out, make_quick_config(), until="clean")
+    run(rgbd, out, make_quick_config("clean.min_island_area=0.5"), until="clean")
 
     class KilledError(BaseException):
         pass
@@ -523,27 +541,27 @@ def test_a_killed_run_leaves_nothing_that_it_does_not_know_again(rgbd, tmp_path,
         with monkeypatch.context() as patched:
             patched.setattr(f"scanloom.pipeline.run.output_folder.{at}", killed)
             with pytest.raises(KilledError):
-                run(rgbd, out, quick(), until="clean")
-        run(rgbd, out, quick("clean.min_island_area=0.5"), until="clean")
+                run(rgbd, out, make_quick_config(), until="clean")
+        run(rgbd, out, make_quick_config("clean.min_island_area=0.5"), until="clean")
 
 
-def test_a_report_leads_to_nothing_outside_its_folder(rgbd, tmp_path):
+def test_paths_in_a_report_cannot_leave_the_folder(rgbd, tmp_path):
     out, other = tmp_path / "out", tmp_path / "other.ply"
     other.write_bytes(b"mine")
-    run(rgbd, out, quick(), until="fuse")
+    run(rgbd, out, make_quick_config(), until="fuse")
     report = json.loads((out / "report.json").read_text())
     del report["digest"]
     report["placed"]["remesh"] = {"../other.ply": compute_file_digest(other)}
     (out / "report.json").write_text(json.dumps({**report, "digest": compute_digest(report)}))
     shutil.rmtree(out / "cache")
     with pytest.raises(InputError, match="not written by a run"):
-        run(rgbd, out, quick(), until="fuse")
+        run(rgbd, out, make_quick_config(), until="fuse")
     assert other.read_bytes() == b"mine"
 
 
-def test_results_of_another_cache_leave_when_they_do_not_follow_any_more(rgbd, tmp_path):
+def test_outdated_results_of_another_cache_are_removed(rgbd, tmp_path):
     out = tmp_path / "out"
-    run(rgbd, out, quick(), until="clean", cache_dir=tmp_path / "a")
-    run(rgbd, out, quick("fuse.voxel_size=0.08"), until="clean", cache_dir=tmp_path / "b")
-    run(rgbd, out, quick("fuse.voxel_size=0.09"), until="fuse", cache_dir=tmp_path / "a")
-    assert names(out) == ["fused.ply", "report.json"]
+    run(rgbd, out, make_quick_config(), until="clean", cache_dir=tmp_path / "a")
+    run(rgbd, out, make_quick_config("fuse.voxel_size=0.08"), until="clean", cache_dir=tmp_path / "b")
+    run(rgbd, out, make_quick_config("fuse.voxel_size=0.09"), until="fuse", cache_dir=tmp_path / "a")
+    assert list_names(out) == ["fused.ply", "report.json"]

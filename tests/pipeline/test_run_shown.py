@@ -11,7 +11,7 @@ from scanloom.stages.diagnostics.errors import UsageError
 from scanloom.stages.simplification.codes import SIMPLIFY_COUNT_NOT_REACHED
 
 
-def outcome(stage: str, *, cached: bool, diagnostics: tuple[Diagnostic, ...] = ()) -> StageOutcome:
+def make_outcome(stage: str, *, cached: bool, diagnostics: tuple[Diagnostic, ...] = ()) -> StageOutcome:
     made = {"seconds": 2.5}
     return StageOutcome(stage, cached, "", 0.25, {}, {}, made, Path(), (), diagnostics)
 
@@ -19,12 +19,12 @@ def outcome(stage: str, *, cached: bool, diagnostics: tuple[Diagnostic, ...] = (
 @pytest.fixture
 def result(tmp_path: Path) -> RunResult:
     told = (SIMPLIFY_COUNT_NOT_REACHED.unmet("no"), SIMPLIFY_COUNT_NOT_REACHED.warning("odd"))
-    stages = (outcome("fuse", cached=True), outcome("<simplify>", cached=False, diagnostics=told))
+    stages = (make_outcome("fuse", cached=True), make_outcome("<simplify>", cached=False, diagnostics=told))
     report = {"mesh": {"triangles": 1234}}
     return RunResult(tmp_path / "o<u>t", tmp_path, stages, report, diagnostics=told)
 
 
-def test_it_prints_as_a_line(result):
+def test_repr_is_one_line(result):
     assert (
         repr(result) == f"RunResult({result.out}, 2 stages, 1 cached, 1,234 triangles, 1 requirement not met)"
     )
@@ -41,7 +41,7 @@ def test_a_notebook_shows_the_stages(result):
     assert "o<u>t" not in html
 
 
-def test_its_page_is_shown_if_there_is_one(result, tmp_path):
+def test_show_displays_the_page_of_the_run(result, tmp_path):
     with pytest.raises(UsageError, match=r"this run has no page; report\.page=true"):
         result.show()
     page = tmp_path / "report.html"

@@ -91,7 +91,7 @@ def test_defaults_are_printed_with_text_unit_range_and_default():
     assert all(len(line) <= 100 for line in text.splitlines())
 
 
-def test_file_sets_what_it_names_and_leaves_the_rest(tmp_path):
+def test_a_file_only_sets_its_own_parameters(tmp_path):
     path = tmp_path / "f.toml"
     path.write_text('[fuse]\nvoxel_size = 1\ndevice = "cuda"\n')
     config = Config.load(path)
@@ -135,7 +135,7 @@ def test_file_sets_what_it_names_and_leaves_the_rest(tmp_path):
         ("[clean\n", "f.toml: this is not TOML"),
     ],
 )
-def test_mistakes_in_a_file_are_named(tmp_path, text, message):
+def test_errors_in_a_file_are_reported(tmp_path, text, message):
     path = tmp_path / "f.toml"
     path.write_text(text)
     with pytest.raises(UsageError) as raised:
@@ -151,7 +151,7 @@ def test_config_file_that_cannot_be_read(tmp_path):
         Config.load(tmp_path / "binary")
 
 
-def test_words_are_read_by_the_type_of_the_parameter():
+def test_assignments_are_parsed_by_the_type_of_the_parameter():
     config = Config().set(
         ["fuse.voxel_size=4e-3", "fuse.color=no", "fuse.device=cuda", "fuse.threads = 4", "fuse.name=a=b.c"]
     )
@@ -160,7 +160,7 @@ def test_words_are_read_by_the_type_of_the_parameter():
 
 
 @pytest.mark.parametrize("row", ["1 -2.5 3e-1", "1,-2.5,0.3", "[1, -2.5, 0.3]", "(1.0 -2.5 .3)"])
-def test_rows_of_numbers_are_read_as_they_are_written(row):
+def test_number_tuples_are_parsed_in_common_notations(row):
     config = Config().set([f"fuse.center={row}"])
     assert (
         config == Config.loads("[fuse]\ncenter = [1, -2.5, 0.3]") == Config(FuseParams(center=[1, -2.5, 0.3]))
@@ -193,29 +193,29 @@ def test_rows_of_numbers_are_read_as_they_are_written(row):
         ("clean.islands=-1", "clean.islands is -1 triangles; it must be at least 0 triangles"),
     ],
 )
-def test_mistakes_in_words_are_named(word, message):
+def test_errors_in_assignments_are_reported(word, message):
     with pytest.raises(UsageError) as raised:
         Config().set([word])
-    # A wrong value is named by its key, as in a file; other mistakes by the words.
+    # An invalid value is reported with its key, like in a file; other errors with the argument.
     assert str(raised.value).startswith((f"--set {word}", word.partition("=")[0]))
     assert message in str(raised.value)
 
 
-def test_nested_sections_are_read_from_files_and_words():
+def test_nested_sections_are_read_from_files_and_assignments():
     config = Config.loads("[fuse]\nweight = 2\n[fuse.bricks]\nsize = 3\n")
     assert config.fuse == FuseParams(weight=2.0, bricks=BrickParams(size=3.0))
-    # What is not named stays.
+    # Other parameters are unchanged.
     changed = config.set(["fuse.bricks.workers=4"])
     assert changed.fuse == FuseParams(weight=2.0, bricks=BrickParams(size=3.0, workers=4))
 
 
-def test_canonical_form_leaves_out_what_cannot_change_the_result():
+def test_canonical_form_excludes_parameters_without_influence():
     values = Config().to_canonical("fuse")
     assert set(values) == {f.name for f in fields(FuseParams)} - {"threads"}
     assert values["bricks"] == {"size": 0.5}
 
 
-def test_canonical_form_is_one_for_equal_values():
+def test_equal_values_have_the_same_canonical_form():
     one = Config(fuse=FuseParams(weight=1, voxel_size=-0.0))
     assert repr(one.to_canonical("fuse")["weight"]) == "1.0"
     assert repr(one.to_canonical("fuse")["voxel_size"]) == "0.0"

@@ -1,4 +1,4 @@
-"""The stage `texture`: photos of another camera in place of the frames' own, and what runs again when."""
+"""The stage `texture`: photos of a second camera instead of the frames' images, and cache hits."""
 
 import json
 import shutil
@@ -22,8 +22,8 @@ from scanloom.stages.surface.surface_color import compute_surface_colors
 pytestmark = pytest.mark.slow
 
 
-def grey_scan(folder: Path) -> Path:
-    """A scan of the painted wall whose own images are grey."""
+def write_grey_scan(folder: Path) -> Path:
+    """Write a scan of the painted wall with grey images."""
     frames = []
     for frame in photos(8):
         color, depth = folder / "color" / f"{frame.name}.png", folder / "depth" / f"{frame.name}.png"
@@ -40,8 +40,8 @@ def grey_scan(folder: Path) -> Path:
     return folder
 
 
-def other_photos(folder: Path) -> Path:
-    """Photos of the wall as nerfstudio keeps them: y up, looking along −z."""
+def write_other_photos(folder: Path) -> Path:
+    """Write photos of the wall in nerfstudio's convention: y up, camera facing −z."""
     folder.mkdir()
     listed = []
     for frame in photos(12):
@@ -66,12 +66,16 @@ def config(images: Path) -> Config:
     return Config().set([f"texture.images={images}", "adjust.enabled=false", "fuse.voxel_size=0.02"])
 
 
-def ran(result: RunResult) -> set[str]:
+def list_computed(result: RunResult) -> set[str]:
     return {one.stage for one in result.stages if not one.cached}
 
 
-def test_photos_of_another_camera_are_taken(tmp_path: Path):
-    scan, images, out = grey_scan(tmp_path / "scan"), other_photos(tmp_path / "photos"), tmp_path / "out"
+def test_photos_of_another_camera_are_used(tmp_path: Path):
+    scan, images, out = (
+        write_grey_scan(tmp_path / "scan"),
+        write_other_photos(tmp_path / "photos"),
+        tmp_path / "out",
+    )
     result = run(scan, out, config(images), until="texture")
     mesh = read_mesh(out / "textured.glb")
     rng = np.random.default_rng(1)
@@ -81,19 +85,19 @@ def test_photos_of_another_camera_are_taken(tmp_path: Path):
     off = np.abs(compute_surface_colors(mesh, chosen, weights) - paint(places[:, 0], places[:, 1]))[middle]
     assert np.median(off) < 5
 
-    # The folder's place does not matter; what is in it does, to the texture alone.
+    # The key of texture depends on the content of the folder but not on its path.
     moved = Path(shutil.move(images, tmp_path / "moved"))
-    assert ran(run(scan, out, config(moved), until="texture")) == set()
+    assert list_computed(run(scan, out, config(moved), until="texture")) == set()
     first = moved / "000.png"
     first.write_bytes(cv2.imencode(".png", cv2.imread(str(first)) // 2)[1].tobytes())
     foreseen = predict_run(scan, out, config(moved), until="texture")
     assert [one.stage for one in foreseen.stages if not one.cached] == ["texture"]
-    assert ran(run(scan, out, config(moved), until="texture")) == {"texture"}
+    assert list_computed(run(scan, out, config(moved), until="texture")) == {"texture"}
     assert "texture" in {one.stage for one in result.stages}
 
 
-def test_photos_are_read_as_their_section_says(tmp_path: Path):
-    scan, images = grey_scan(tmp_path / "scan"), other_photos(tmp_path / "photos")
+def test_photos_are_read_with_the_parameters_of_their_section(tmp_path: Path):
+    scan, images = write_grey_scan(tmp_path / "scan"), write_other_photos(tmp_path / "photos")
     told = config(images).set(["photos.last=5", "photos.intrinsics=200,201,80,60"])
     cache = Cache(tmp_path / "cache")
     wanted = prepare_run(scan, tmp_path / "out", told, until="texture", force=(), cache=cache)
@@ -107,23 +111,23 @@ def test_photos_without_poses_are_refused(tmp_path: Path):
     images = tmp_path / "photos"
     images.mkdir()
     with pytest.raises(InputError, match="photos"):
-        run(grey_scan(tmp_path / "scan"), tmp_path / "out", config(images), until="texture")
+        run(write_grey_scan(tmp_path / "scan"), tmp_path / "out", config(images), until="texture")
 
 
-def test_colors_only_limit_the_simplification_without_a_texture(tmp_path: Path):
-    scan, out = grey_scan(tmp_path / "scan"), tmp_path / "out"
+def test_colour_bounds_limit_simplification_only_without_a_texture(tmp_path: Path):
+    scan, out = write_grey_scan(tmp_path / "scan"), tmp_path / "out"
 
-    def simplified(*settings: str) -> dict[str, object]:
+    def run_simplify(*settings: str) -> dict[str, object]:
         told = Config().set(["adjust.enabled=false", "fuse.voxel_size=0.02", *settings])
         result = run(scan, out, told, until="simplify")
         return dict(next(one for one in result.stages if one.stage == "simplify").metrics)
 
-    textured, colored = simplified(), simplified("texture.enabled=false")
+    textured, colored = run_simplify(), run_simplify("texture.enabled=false")
     assert textured["method"] == "certified"
     assert isinstance(bound := textured["default_max_shape_m"], float)
     assert textured["details"]["shape_bound_m"] <= bound  # type: ignore[index]
     assert colored["method"] == "jia01"
     assert "default_max_shape_m" not in colored
-    # A texture that is switched on again finds the first result.
+    # Enabling the texture again hits the first result.
     told = Config().set(["adjust.enabled=false", "fuse.voxel_size=0.02"])
-    assert ran(run(scan, out, told, until="simplify")) == set()
+    assert list_computed(run(scan, out, told, until="simplify")) == set()

@@ -1,4 +1,4 @@
-"""What a run tells where lengths are units of the scan, and that all it reads has one scale."""
+"""Units of scans without metric scale in reports and pages; photos get the scale of their scan."""
 
 import json
 from dataclasses import replace
@@ -23,7 +23,7 @@ from scanloom.stages.surface.formats.ply import write_ply
 CAMERA = Camera(8, 6, 5.0, 5.0, 3.5, 2.5)
 
 
-def test_a_report_says_whether_metres_are_metres(tmp_path: Path) -> None:
+def test_a_report_states_if_the_scale_is_metric(tmp_path: Path) -> None:
     scan = Scan("colmap", [], is_metric=False)
     said = compose_report(scan, (), (), {}, tmp_path)["scan"]
     assert (said["metric"], said["scale"]) == (False, None)
@@ -33,7 +33,7 @@ def test_a_report_says_whether_metres_are_metres(tmp_path: Path) -> None:
     assert said["scale"] == {"metres_per_unit": 0.3, "source": "given", "spread_ratio": None}
 
 
-def test_a_page_has_its_lengths_in_that_unit(tmp_path: Path) -> None:
+def test_a_page_shows_lengths_in_units_without_metric_scale(tmp_path: Path) -> None:
     assert "unit" not in summarize_report({"scan": {"metric": True}})
     assert summarize_report({"scan": {"metric": False}})["unit"] == "units"
     told = {"absolute_percentiles_m": {"95": 0.25}, "rms_m": 0.5, "within_ratio": 1.0, "tolerance_m": 2.0}
@@ -54,7 +54,7 @@ def test_a_page_has_its_lengths_in_that_unit(tmp_path: Path) -> None:
 
 @pytest.fixture
 def both(tmp_path: Path) -> tuple[Path, Path]:
-    """A scan, and photos in its world, of which neither knows what a unit is."""
+    """Make a scan, and photos in its coordinate system; neither has a known unit."""
     scan, images = tmp_path / "scan", tmp_path / "photos"
     entries = []
     for folder in (scan, images):
@@ -86,7 +86,7 @@ def both(tmp_path: Path) -> tuple[Path, Path]:
         (["photos.scale=0.25"], (1, 0.25), 1),
     ],
 )
-def test_photos_in_the_world_of_a_scan_have_its_scale(
+def test_photos_are_scaled_with_their_scan(
     both: tuple[Path, Path], tmp_path: Path, settings: list[str], factors: tuple[float, float], told: int
 ) -> None:
     scan, images = both

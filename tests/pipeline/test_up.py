@@ -1,4 +1,4 @@
-"""What is known to be up comes through the stages of a run to all that stand."""
+"""The up direction passes through the stages of a run to all upright results."""
 
 import json
 from dataclasses import replace
@@ -31,27 +31,37 @@ POLYCAM = WorldUp(Y_UP, "layout polycam: y up")
 FLOOR = Mesh(np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0.0]]), np.array([[0, 1, 2]], np.int32))
 
 
-def posed(turn: Rotation, **more) -> Frame:
+def make_posed_frame(turn: Rotation, **more) -> Frame:
     pose = np.eye(4)
     pose[:3, :3] = turn.as_matrix()
     return Frame("a", CAMERA, world_from_camera=pose, **more)
 
 
-# A camera that looks along x in a world with z up.
+# A camera that faces along x in a world with z up.
 LEVEL = Rotation.from_matrix([[0, 0, 1], [-1, 0, 0], [0, -1, 0]])
 
 
 @pytest.mark.parametrize(
     ("scan", "up", "source", "doubts"),
     [
-        (Scan("s", [posed(LEVEL)], up=WorldUp(Z_UP, "layout euroc: z up")), Z_UP, "layout euroc: z up", 0),
-        (Scan("s", [posed(LEVEL, up=UP)]), Z_UP, "gravity of the IMU", 0),
-        (Scan("s", [posed(LEVEL)]), Z_UP, "surface", 0),
-        (Scan("s", [posed(LEVEL)], up=WorldUp(Z_DOWN, "layout x: z down")), Z_DOWN, "layout x: z down", 1),
-        (Scan("s", [replace(posed(LEVEL, up=UP), world_from_camera=None)]), None, "nothing", 0),
+        (
+            Scan("s", [make_posed_frame(LEVEL)], up=WorldUp(Z_UP, "layout euroc: z up")),
+            Z_UP,
+            "layout euroc: z up",
+            0,
+        ),
+        (Scan("s", [make_posed_frame(LEVEL, up=UP)]), Z_UP, "gravity of the IMU", 0),
+        (Scan("s", [make_posed_frame(LEVEL)]), Z_UP, "surface", 0),
+        (
+            Scan("s", [make_posed_frame(LEVEL)], up=WorldUp(Z_DOWN, "layout x: z down")),
+            Z_DOWN,
+            "layout x: z down",
+            1,
+        ),
+        (Scan("s", [replace(make_posed_frame(LEVEL, up=UP), world_from_camera=None)]), None, "nothing", 0),
     ],
 )
-def test_the_figure_says_what_told_it(tmp_path: Path, scan, up, source, doubts) -> None:
+def test_the_source_of_the_up_direction_is_reported(tmp_path: Path, scan, up, source, doubts) -> None:
     with collecting() as diagnostics:
         metrics = upright.estimate_up(tmp_path, FLOOR, scan, None, UprightSection())
     assert (metrics["up"], metrics["up_source"]) == (up, source)
@@ -59,14 +69,14 @@ def test_the_figure_says_what_told_it(tmp_path: Path, scan, up, source, doubts) 
     assert ["set upright.up=AXIS if it is wrong" in str(one) for one in diagnostics] == [True] * doubts
 
 
-def test_what_is_given_counts_more_than_what_is_known(tmp_path: Path) -> None:
-    scan = Scan("s", [posed(LEVEL)], up=POLYCAM)
+def test_a_given_up_direction_overrides_others(tmp_path: Path) -> None:
+    scan = Scan("s", [make_posed_frame(LEVEL)], up=POLYCAM)
     metrics = upright.estimate_up(tmp_path, FLOOR, scan, None, UprightSection(up="-x"))
     assert (metrics["up"], metrics["up_source"]) == ((-1.0, 0.0, 0.0), "given")
 
 
-def test_poses_that_are_found_have_another_world_and_what_was_measured_stays(tmp_path: Path) -> None:
-    scan = Scan("polycam", [replace(posed(LEVEL, up=UP), name=name) for name in "ab"], up=POLYCAM)
+def test_registration_drops_the_world_up_and_keeps_measured_up(tmp_path: Path) -> None:
+    scan = Scan("polycam", [replace(make_posed_frame(LEVEL, up=UP), name=name) for name in "ab"], up=POLYCAM)
     turned = np.eye(4)
     turned[:3, :3] = Rotation.from_euler("x", 30, degrees=True).as_matrix()
     poses = {"0": turned.tolist(), "1": turned.tolist()}
@@ -78,13 +88,13 @@ def test_poses_that_are_found_have_another_world_and_what_was_measured_stays(tmp
         assert up["up_source"] == "gravity of the IMU"
 
 
-def test_it_is_written_with_depth_in_the_axes_of_the_rectified_camera(tmp_path: Path) -> None:
-    # The right camera stands lower: rectified, both are rolled towards it.
+def test_up_is_written_with_depth_in_the_rectified_axes(tmp_path: Path) -> None:
+    # The right camera is lower, so rectification rolls both cameras.
     right_from_left = np.eye(4)
     right_from_left[:3, 3] = (-0.1, -0.02, 0)
     rig = StereoRig(CAMERA, CAMERA, right_from_left, is_rectified=False)
     wall = cv2.GaussianBlur(np.random.default_rng(5).integers(0, 255, (72, 200, 3), np.uint8), (3, 3), 0)
-    frame = replace(posed(LEVEL, up=UP), color=np.ascontiguousarray(wall[:, 20:116]))
+    frame = replace(make_posed_frame(LEVEL, up=UP), color=np.ascontiguousarray(wall[:, 20:116]))
     frame = replace(frame, right=np.ascontiguousarray(wall[:, 28:124]))
     scan = Scan("pairs", [frame], rig, up=POLYCAM, is_metric=False)
     write_depth_maps(tmp_path, depth_scan(scan, min_confidence=0, left_right_tolerance=99), scan)
@@ -96,8 +106,8 @@ def test_it_is_written_with_depth_in_the_axes_of_the_rectified_camera(tmp_path: 
     np.testing.assert_allclose(world, LEVEL.apply(UP), atol=1e-9)
 
 
-def test_it_decides_for_the_stages_alone_that_use_it() -> None:
-    frame = replace(posed(LEVEL), depth=np.ones((72, 96), np.float32))
+def test_up_is_in_the_key_of_the_stages_that_use_it() -> None:
+    frame = replace(make_posed_frame(LEVEL), depth=np.ones((72, 96), np.float32))
     scan = Scan("s", [frame])
     others = [
         replace(scan, up=POLYCAM),
@@ -115,7 +125,7 @@ def test_it_decides_for_the_stages_alone_that_use_it() -> None:
 
 
 @pytest.mark.slow
-def test_another_up_is_another_stand_and_nothing_else(tmp_path: Path) -> None:
+def test_changing_up_only_reruns_upright_stages(tmp_path: Path) -> None:
     scan, out = tmp_path / "scan", tmp_path / "out"
     scan.mkdir()
     depth = np.full((72, 96), 1000, np.uint16)

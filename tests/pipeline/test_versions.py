@@ -1,4 +1,4 @@
-"""A changed result never comes from the cache: every RESULT_VERSION is in the key of a stage that runs it."""
+"""A changed algorithm never hits the cache: every RESULT_VERSION is in the key of a stage that runs it."""
 
 import ast
 from collections.abc import Iterator, Mapping
@@ -30,7 +30,7 @@ STATING = [module for module in MODULES if hasattr(module, "RESULT_VERSION")]
 CAMERA = Camera(8, 8, 8.0, 8.0, 3.5, 3.5)
 VIEWS = Scan("toy", [Frame("0", CAMERA)])
 PAIRS = Scan("toy", [Frame("0", CAMERA)], rig=StereoRig(CAMERA, CAMERA, None, is_rectified=True))
-# Depth of its own, which a network may fill in.
+# Measured depth, which a network may complete.
 MEASURED = Scan("toy", [Frame("0", CAMERA, depth=Path("0.png"))])
 METHODS = (
     "simplify.ratio=0.5",
@@ -49,7 +49,7 @@ def config(words: str) -> Config:
     return Config().set(words.split())
 
 
-def versions(stage: Stage, scan: Scan, words: str = "", clean: Path = ROOT) -> Mapping[str, int]:
+def compute_versions(stage: Stage, scan: Scan, words: str = "", clean: Path = ROOT) -> Mapping[str, int]:
     known = {
         **dict.fromkeys(stage.input_names, scan),
         "clean_mesh": CleanMesh(clean),
@@ -58,13 +58,15 @@ def versions(stage: Stage, scan: Scan, words: str = "", clean: Path = ROOT) -> M
     return stage.versions(known, config(words))
 
 
-def all_versions(large: Path) -> dict[tuple[Any, ...], Mapping[str, int]]:
-    """Return what every stage has in its keys, for all kinds of scans and methods.
+def compute_all_versions(large: Path) -> dict[tuple[Any, ...], Mapping[str, int]]:
+    """Compute the versions in the keys of all stages, for all kinds of scans and methods.
 
-    `large` holds a mesh that is worked on in pieces.
+    `large` contains a chunked mesh.
     """
     return {
-        (stage.name, (scan.is_views, scan.is_stereo), words, clean): versions(stage, scan, words, clean)
+        (stage.name, (scan.is_views, scan.is_stereo), words, clean): compute_versions(
+            stage, scan, words, clean
+        )
         for stage in STAGES
         for scan in (VIEWS, PAIRS, MEASURED)
         for words in METHODS
@@ -82,11 +84,11 @@ def large(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def stage_named(name: str) -> Stage:
+def get_stage(name: str) -> Stage:
     return next(stage for stage in STAGES if stage.name == name)
 
 
-def test_they_are_found():
+def test_modules_with_versions_are_found():
     names = {module.__name__ for module in STATING}
     assert {
         "scanloom.stages.fusion.fuse",
@@ -98,72 +100,76 @@ def test_they_are_found():
 
 @pytest.mark.parametrize("module", STATING, ids=lambda module: module.__name__)
 def test_every_version_of_a_result_is_in_the_key_of_a_stage(module, large, monkeypatch):
-    before = all_versions(large)
+    before = compute_all_versions(large)
     monkeypatch.setattr(module, "RESULT_VERSION", module.RESULT_VERSION + 1)
-    after = all_versions(large)
+    after = compute_all_versions(large)
     assert [key for key in before if before[key] != after[key]], "bumping it changes no key"
 
 
 def test_every_stage_has_a_version(large):
-    assert all(all_versions(large).values())
+    assert all(compute_all_versions(large).values())
 
 
-def test_versions_are_called_what_they_are_of():
-    # RESULT_VERSION decides keys, FORMAT_VERSION what a reader of a file understands.
+def test_version_constants_have_specific_names():
+    # RESULT_VERSION is for cache keys, FORMAT_VERSION for readers of files.
     unclear = {"VERSION", "_VERSION"}
     assert [module for module in MODULES if unclear & vars(module).keys()] == []
 
 
 def test_the_version_of_a_method_is_in_the_key_only_where_it_runs():
-    simplify = stage_named("simplify")
-    assert set(versions(simplify, PAIRS, "simplify.ratio=0.5")) == {"simplify", "quadric"}
-    assert set(versions(simplify, PAIRS, "simplify.method=planar")) == {"simplify", "planar"}
-    baked = versions(simplify, PAIRS, "simplify.ratio=0.5 simplify.bake=true")
+    simplify = get_stage("simplify")
+    assert set(compute_versions(simplify, PAIRS, "simplify.ratio=0.5")) == {"simplify", "quadric"}
+    assert set(compute_versions(simplify, PAIRS, "simplify.method=planar")) == {"simplify", "planar"}
+    baked = compute_versions(simplify, PAIRS, "simplify.ratio=0.5 simplify.bake=true")
     assert set(baked) == {"simplify", "quadric", "bake", "compare"}
-    assert set(versions(simplify, PAIRS, "simplify.max_shape=0.01")) == {"simplify", "certified", "certify"}
+    assert set(compute_versions(simplify, PAIRS, "simplify.max_shape=0.01")) == {
+        "simplify",
+        "certified",
+        "certify",
+    }
 
 
-def test_parameters_that_suit_no_method_are_left_for_the_stage_to_refuse():
-    assert set(versions(stage_named("simplify"), PAIRS, "simplify.method=quadric")) == {"simplify"}
+def test_invalid_parameters_of_methods_do_not_fail_the_key():
+    assert set(compute_versions(get_stage("simplify"), PAIRS, "simplify.method=quadric")) == {"simplify"}
 
 
-def test_a_mesh_that_is_too_large_to_be_refined_has_a_key_of_its_own(large):
-    refine = stage_named("refine")
-    refined = set(versions(refine, MEASURED))
+def test_a_mesh_too_large_for_refinement_has_a_separate_key(large):
+    refine = get_stage("refine")
+    refined = set(compute_versions(refine, MEASURED))
     assert (
         refined
-        == set(versions(refine, MEASURED, clean=large))
+        == set(compute_versions(refine, MEASURED, clean=large))
         == {"refine", "depth_noise", "clean", "certify"}
     )
-    assert set(versions(refine, MEASURED, "refine.memory=1", clean=large)) == {"copy"}
-    # The limit concerns chunks only.
-    assert set(versions(refine, MEASURED, "refine.memory=1")) == refined
+    assert set(compute_versions(refine, MEASURED, "refine.memory=1", clean=large)) == {"copy"}
+    # The limit only concerns chunked meshes.
+    assert set(compute_versions(refine, MEASURED, "refine.memory=1")) == refined
 
 
 def test_depth_has_the_version_of_views_only_for_views():
-    assert set(versions(stage_named("depth"), VIEWS)) == {"depth", "views_depth", "epipolar_check"}
-    unchecked = versions(stage_named("depth"), VIEWS, "scan.check_poses=false")
+    assert set(compute_versions(get_stage("depth"), VIEWS)) == {"depth", "views_depth", "epipolar_check"}
+    unchecked = compute_versions(get_stage("depth"), VIEWS, "scan.check_poses=false")
     assert set(unchecked) == {"depth", "views_depth"}
-    assert set(versions(stage_named("depth"), PAIRS)) == {"depth"}
+    assert set(compute_versions(get_stage("depth"), PAIRS)) == {"depth"}
 
 
 def test_depth_has_the_version_of_networks_only_with_one():
-    found = set(versions(stage_named("depth"), PAIRS, "depth.model=net.onnx"))
+    found = set(compute_versions(get_stage("depth"), PAIRS, "depth.model=net.onnx"))
     assert found == {"depth", "network_depth", "network"}
 
 
-def name_in_keys(module: ModuleType) -> str:
-    """Return the name of a file, or of a method, which has its call in the file `run.py` of its folder."""
+def get_name_in_keys(module: ModuleType) -> str:
+    """Get the name of a file or of a method; a method is called in the file `run.py` of its folder."""
     *_, folder, file = module.__name__.split(".")
     return folder if file == "run" and folder != "pipeline" else file
 
 
 @cache
-def imported(module: ModuleType) -> frozenset[str]:
-    return frozenset(imports(module))
+def list_cached_imports(module: ModuleType) -> frozenset[str]:
+    return frozenset(list_imports(module))
 
 
-def imports(module: ModuleType) -> Iterator[str]:
+def list_imports(module: ModuleType) -> Iterator[str]:
     if module.__file__.endswith(".py"):
         for node in ast.walk(ast.parse(Path(module.__file__).read_text("utf-8"))):
             if isinstance(node, ast.ImportFrom) and node.module:
@@ -171,18 +177,18 @@ def imports(module: ModuleType) -> Iterator[str]:
                 yield from (f"{node.module}.{alias.name}" for alias in node.names)
 
 
-def test_what_a_stage_runs_is_in_its_key_too(large):
-    # Whose code is imported by what a stage runs may decide its result: bake measures colours with compare.
+def test_versions_of_imported_modules_are_in_the_key(large):
+    # Code that is imported by a stage may change its result; for example, bake measures colours with compare.
     by_name = {module.__name__: module for module in MODULES}
-    stating = {name_in_keys(module): module.__name__ for module in STATING}
-    in_keys = all_versions(large)
+    stating = {get_name_in_keys(module): module.__name__ for module in STATING}
+    in_keys = compute_all_versions(large)
     for stage in STAGES:
         named = {name for key, found in in_keys.items() if key[0] == stage.name for name in found}
-        # A file of `pipeline/steps/` states its own version in the stage.
+        # A file of `pipeline/steps/` states its version in the stage.
         reached, waiting = set(), {stating[name] for name in named & stating.keys()}
         while waiting:
             one = waiting.pop()
             reached.add(one)
-            waiting |= {name for name in imported(by_name[one]) if name in by_name} - reached
+            waiting |= {name for name in list_cached_imports(by_name[one]) if name in by_name} - reached
         missing = {name for name, module in stating.items() if module in reached} - named
         assert not missing, f"{stage.name} may run {missing}"

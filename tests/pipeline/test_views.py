@@ -1,4 +1,4 @@
-"""A folder of single views goes through the whole pipeline."""
+"""A folder of posed photos passes through the whole pipeline."""
 
 import json
 from collections.abc import Callable
@@ -32,7 +32,7 @@ def _no_shared_cache(monkeypatch):
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    """The made scene in Middlebury's multi-view layout."""
+    """Write the made scene in Middlebury's multi-view layout."""
     scan, _ = posed_scene.make_posed_scan()
     made = tmp_path / "scan"
     made.mkdir()
@@ -52,7 +52,7 @@ def folder(tmp_path: Path) -> Path:
 
 
 @pytest.mark.slow
-def test_views_become_a_mesh_where_the_scene_is(folder: Path, tmp_path: Path) -> None:
+def test_views_become_a_mesh_at_the_true_surface(folder: Path, tmp_path: Path) -> None:
     config = Config().set(QUICK)
     result = run(folder, tmp_path / "out", config)
 
@@ -72,15 +72,15 @@ def test_views_become_a_mesh_where_the_scene_is(folder: Path, tmp_path: Path) ->
     to_board = np.abs(vertices[:, 2] - posed_scene.BOARD_Z)
     assert np.median(np.minimum(to_ball, to_board)) < 0.004
     assert np.mean(np.minimum(to_ball, to_board) > 0.03) < 0.03
-    # Both are there, the ball's front and the board behind it.
+    # Both are reconstructed: the front of the sphere and the board behind it.
     assert np.mean(vertices[:, 2] < 0) > 0.05
     assert np.mean(to_board < 0.02) > 0.2
     again = run(folder, tmp_path / "out", config)
     assert all(stage.cached for stage in again.stages)
 
 
-def nerfstudio(folder: Path, scan: Scan) -> None:
-    """Write views as nerfstudio has them: a camera with y up and z back, pixels counted from the corner."""
+def write_nerfstudio(folder: Path, scan: Scan) -> None:
+    """Write views in nerfstudio's convention: y up, z backwards, pixel coordinates from the image corner."""
     camera = posed_scene.CAMERA
     frames = []
     for frame in scan.frames:
@@ -95,8 +95,8 @@ def nerfstudio(folder: Path, scan: Scan) -> None:
     )
 
 
-def colmap(folder: Path, scan: Scan) -> None:
-    """Write views as COLMAP has them: world-to-camera, pixels counted from the corner."""
+def write_colmap(folder: Path, scan: Scan) -> None:
+    """Write views in COLMAP's convention: world-to-camera, pixel coordinates from the image corner."""
     camera = posed_scene.CAMERA
     values = f"{camera.fx} {camera.fy} {camera.cx + 0.5} {camera.cy + 0.5}"
     (folder / "cameras.txt").write_text(f"1 PINHOLE {camera.width} {camera.height} {values}\n")
@@ -111,12 +111,12 @@ def colmap(folder: Path, scan: Scan) -> None:
 
 @pytest.fixture(scope="module")
 def in_memory() -> tuple[Scan, list[np.ndarray], list[np.ndarray]]:
-    """The made scene, its true depth, and what is found of it."""
+    """Compute the depth of the made scene once; return scan, true depth and estimated depth."""
     scan, truth = posed_scene.make_posed_scan()
     return scan, truth, [result.depth for _, result in views_depth(scan)]
 
 
-@pytest.mark.parametrize("write", [nerfstudio, colmap])
+@pytest.mark.parametrize("write", [write_nerfstudio, write_colmap])
 def test_views_of_other_layouts_have_the_same_depth(
     in_memory: tuple[Scan, list[np.ndarray], list[np.ndarray]], tmp_path: Path, write: Callable[..., None]
 ) -> None:
@@ -131,14 +131,14 @@ def test_views_of_other_layouts_have_the_same_depth(
     results = [result for _, result in views_depth(read)]
 
     for result, own, true in zip(results, owns, truth, strict=True):
-        # Rounding of poses moves a depth here and there across what is agreed with.
+        # Rounding of poses moves a few depths across the agreement threshold.
         both = (result.depth > 0) & (own > 0)
         assert np.mean((result.depth > 0) == (own > 0)) > 0.999
         assert np.mean(np.abs(result.depth - own)[both] < 1e-3) > 0.999
         assert np.median(np.abs(result.depth - true)[both & (true > 0)]) < 0.004
 
 
-def test_the_commands_know_views(folder: Path, tmp_path: Path) -> None:
+def test_commands_accept_views(folder: Path, tmp_path: Path) -> None:
     runner = CliRunner()
     found = json.loads(runner.invoke(app(), ["inspect", str(folder), "--json"]).stdout)
     assert (found["kind"], found["layout"], found["depth_scale_per_m"]) == ("views", "middlebury-mview", None)

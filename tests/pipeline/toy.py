@@ -1,6 +1,6 @@
 """A pipeline of three quick stages over a small scan, for tests of the engine and the cache.
 
-Run as a program it works on one scan folder once: `python toy.py SCAN OUT [section.parameter=value]…`
+As a program it processes a scan folder once: `python toy.py SCAN OUT [section.parameter=value]…`
 """
 
 from __future__ import annotations
@@ -134,7 +134,7 @@ def count(inputs: CountInputs, params: CountParams, context: Context) -> Mapping
 
 
 def at(**versions: int) -> Callable[[Mapping[str, Any], Any], Mapping[str, int]]:
-    """Return what tells these versions, whatever is asked of the stage."""
+    """Make a version function that ignores inputs and configuration."""
     return lambda inputs, config: versions  # noqa: ARG005
 
 
@@ -200,7 +200,7 @@ def run(
     warnings: list[str] | None = None,
     overwrite: bool = False,
 ) -> list[StageOutcome]:
-    """Run the toy pipeline as scanloom.pipeline.run.run does the real one."""
+    """Run the toy pipeline like scanloom.pipeline.run.run runs the real one."""
     out.mkdir(parents=True, exist_ok=True)
     scan = read_scan(folder)
     content = compute_scan_digest(scan)

@@ -1,4 +1,4 @@
-"""The sample scans in the repository are what their script makes, and hold the scene they claim to."""
+"""The sample scans in the repository equal the output of their script and show its scene."""
 
 import importlib
 import sys
@@ -19,7 +19,7 @@ SAMPLES = Path(__file__).resolve().parents[2] / "samples"
 
 @pytest.fixture(scope="module")
 def made():
-    """The script's modules; it is run from its own folder, so it imports its parts by plain names."""
+    """Import the script's modules; they import each other by plain names from their folder."""
     sys.path.insert(0, str(SAMPLES))
     try:
         yield {name: importlib.import_module(name) for name in ("scene", "sensors", "make_samples")}
@@ -36,7 +36,7 @@ def test_the_scans_are_small():
     assert sum(file.stat().st_size for file in SAMPLES.rglob("*") if file.is_file()) < 8e6
 
 
-def test_the_stereo_scan_reads_as_it_was_made(made):
+def test_reading_the_stereo_scan_returns_the_made_frames(made):
     scan, rig = read_scan(SAMPLES / "stereo"), made["make_samples"].make_rig()
     assert len(scan.frames) == made["make_samples"].PAIRS
     assert (scan.rig.left, scan.rig.right, scan.rig.is_rectified) == (rig.left, rig.right, False)
@@ -46,13 +46,13 @@ def test_the_stereo_scan_reads_as_it_was_made(made):
         np.testing.assert_allclose(frame.world_from_camera, pose, atol=1e-8)
 
 
-def test_the_rgbd_scan_reads_as_it_was_made(made):
+def test_reading_the_rgbd_scan_returns_the_made_frames(made):
     scan = read_scan(SAMPLES / "rgbd")
     assert len(scan.frames) == made["make_samples"].DEPTH_FRAMES
     assert all(frame.camera == made["make_samples"].DEPTH_CAMERA for frame in scan.frames)
 
 
-def test_the_first_pair_is_made_again_from_its_seed(made, scene):
+def test_the_first_pair_is_reproduced_from_its_seed(made, scene):
     frame, rig = read_scan(SAMPLES / "stereo").frames[0], made["make_samples"].make_rig()
     rng = np.random.default_rng((made["make_samples"].SEED, 0, 0))
     pose = frame.world_from_camera
@@ -61,7 +61,7 @@ def test_the_first_pair_is_made_again_from_its_seed(made, scene):
         (read_right, rig.right, pose @ np.linalg.inv(rig.right_from_left)),
     ):
         again = made["sensors"].photograph(scene, camera, at, rng).astype(int)
-        # What is left is JPEG's loss on sensor noise.
+        # The remaining difference is JPEG's loss on sensor noise.
         assert np.abs(again - read(frame)).mean() < 4
 
 
@@ -80,24 +80,24 @@ def test_depth_is_the_true_surface_with_a_sensors_errors(number):
     assert np.quantile(distances, 0.99) < 0.01
 
 
-def test_the_truth_is_the_shapes_the_scene_names(made, scene):
+def test_the_truth_consists_of_the_shapes_of_the_scene(made, scene):
     truth, names = read_ply(SAMPLES / "truth.ply"), made["scene"]
     np.testing.assert_allclose(truth.vertices, scene.mesh.vertices, atol=1e-6)
     np.testing.assert_array_equal(truth.triangles, scene.mesh.triangles)
-    # A shadow's edge may fall on the other side of a vertex on another processor.
+    # Rounding on another processor may move the edge of a shadow across a vertex.
     assert np.abs(truth.colors.astype(int) - scene.mesh.colors).mean() < 0.05
 
-    def from_globe(v):
+    def measure_distance_to_globe(v):
         return np.abs(np.linalg.norm(v - names.GLOBE, axis=1) - names.GLOBE_RADIUS)
 
-    def from_ring(v):
+    def measure_distance_to_ring(v):
         wide, thin = names.RING_RADII
         across = np.hypot(*(v - names.RING)[:, :2].T) - wide
         return np.abs(np.hypot(across, v[:, 2] - names.RING[2]) - thin)
 
     for distance, area in (
-        (from_globe, 4 * np.pi * names.GLOBE_RADIUS**2),
-        (from_ring, 4 * np.pi**2 * names.RING_RADII[0] * names.RING_RADII[1]),
+        (measure_distance_to_globe, 4 * np.pi * names.GLOBE_RADIUS**2),
+        (measure_distance_to_ring, 4 * np.pi**2 * names.RING_RADII[0] * names.RING_RADII[1]),
     ):
         on = distance(truth.vertices) < 1e-6
         own = truth.vertices[truth.triangles[on[truth.triangles].all(axis=1)]]

@@ -1,4 +1,4 @@
-"""The made room is a scan of its true surface, with a sensor's errors."""
+"""The made room is a scan of its true surface with the errors of a sensor."""
 
 import importlib
 import sys
@@ -20,7 +20,7 @@ FRAMES = 3
 
 @pytest.fixture(scope="module")
 def room():
-    """The script's module; it imports its parts by plain names."""
+    """Import the script's module; it imports other modules by plain names."""
     sys.path.insert(0, str(SAMPLES))
     try:
         yield importlib.import_module("room")
@@ -43,7 +43,7 @@ def unproject(depth: np.ndarray, camera, pose: np.ndarray) -> np.ndarray:
     return points @ pose[:3, :3].T + pose[:3, 3]
 
 
-def test_depth_is_the_true_surface_with_a_sensors_errors(room, scans: Path):
+def test_depth_is_the_true_surface_with_sensor_errors(room, scans: Path):
     scan, truth = read_scan(scans / "plain"), RaycastingSurface(read_ply(scans / "plain" / "truth.ply"))
     assert len(scan.frames) == FRAMES
     for frame, pose in zip(scan.frames, room.make_poses(FRAMES), strict=True):
@@ -71,7 +71,7 @@ def test_warped_depth_is_too_long_and_bent(room, scans: Path):
     factor = room.compute_warp(room.CAMERA)
     assert (factor.min(), factor.max()) == pytest.approx((1.005, 1.025))
     assert np.nanmedian(ratio) == pytest.approx(np.median(factor), abs=0.002)
-    # Steps of disparity average out over a part of the image.
+    # Quantisation of disparity averages out over a part of the image.
     for rows, columns in ((slice(0, 120), slice(0, 160)), (slice(360, 480), slice(480, 640))):
         assert np.nanmean(ratio[rows, columns]) == pytest.approx(factor[rows, columns].mean(), abs=0.002)
 
@@ -79,7 +79,7 @@ def test_warped_depth_is_too_long_and_bent(room, scans: Path):
 def test_thin_parts_belong_to_the_truth(room, scans: Path):
     truth, thin = (read_ply(scans / "plain" / f"{name}.ply") for name in ("truth", "thin_parts"))
     assert RaycastingSurface(truth).find_closest_points(thin.vertices).distances.max() < 1e-6
-    # The wall of the mug, at half its height.
+    # The wall of the mug at half its height.
     distance = np.hypot(*(thin.vertices - room.MUG)[:, :2].T)
     near = (distance < 0.042) & (np.abs(thin.vertices[:, 2] - room.MUG[2] - 0.03) < 0.005)
     assert set(np.round(distance[near], 4)) == {0.037, 0.041}

@@ -1,4 +1,4 @@
-"""Fixtures that several rooms' tests share."""
+"""Fixtures that several folders of tests share."""
 
 from pathlib import Path
 
@@ -10,11 +10,11 @@ from scanloom.stages.surface import chunked_mesh
 
 @pytest.fixture(scope="session")
 def large(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The sample's mesh in a file in pieces, as if it were large; tests leave it as it is."""
+    """Fuse the sample into a chunked PLY file, like a large mesh; tests must not change the file."""
     return fuse_chunked_sample(tmp_path_factory.mktemp("fused") / "fused.ply")
 
 
 @pytest.fixture
 def few_at_a_time(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let some pieces be worked on in several steps."""
+    """Process chunks in several batches."""
     monkeypatch.setattr(chunked_mesh, "BATCH_TRIANGLES", 800)

@@ -1,4 +1,4 @@
-"""Functions that take fields of a class by name say so to editors and type checkers."""
+"""Functions that take fields of a class as keywords declare them for editors and type checkers."""
 
 import inspect
 from collections.abc import Callable, Iterator
@@ -12,14 +12,14 @@ from scanloom import stages
 MODULES = import_modules(stages)
 
 
-def classes_of(module: ModuleType) -> list[type]:
+def list_classes(module: ModuleType) -> list[type]:
     return [c for c in vars(module).values() if inspect.isclass(c) and c.__module__ == module.__name__]
 
 
-def functions_with_changes() -> Iterator[tuple[Callable[..., Any], inspect.Signature]]:
-    """Functions and methods that take fields of a class by name, as `**changes`."""
+def find_functions_with_changes() -> Iterator[tuple[Callable[..., Any], inspect.Signature]]:
+    """Find functions and methods that take fields of a class as `**changes`."""
     for module in MODULES:
-        for owner in (module, *classes_of(module)):
+        for owner in (module, *list_classes(module)):
             for function in vars(owner).values():
                 if inspect.isfunction(function) and function.__module__ == module.__name__:
                     signature = inspect.signature(function)
@@ -28,8 +28,8 @@ def functions_with_changes() -> Iterator[tuple[Callable[..., Any], inspect.Signa
                         yield function, signature
 
 
-def test_every_function_that_takes_parameters_by_name_says_which():
-    found = list(functions_with_changes())
+def test_every_function_with_changes_declares_its_keywords():
+    found = list(find_functions_with_changes())
     assert {"fuse", "clean", "views_depth", "with_"} <= {function.__name__ for function, _ in found}
     for function, signature in found:
         params = signature.parameters.get("params")

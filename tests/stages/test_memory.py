@@ -1,4 +1,4 @@
-"""Memory that cannot be had: every kernel and every reader says so, and the process goes on."""
+"""Failed memory allocation: every kernel and every reader reports it, and the process survives."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from scanloom.stages.surface.mesh_files import write_mesh
 from tests.made.coloured_meshes import sheet
 from tests.made.short_of_memory import DONE, MEMORY
 
-# Squares along the sides of the sheet that each works on: as many as a second or two of work allow.
+# Squares along the side of the test sheet, chosen so that each kernel works for a second or two.
 SIDES = {
     "compute_side_lengths": 500,
     "compute_spatial_order": 400,
@@ -61,57 +61,57 @@ SIDES = {
     "filter_depth": 1000,
     "find_touched_blocks": 700,
 }
-# A kernel that goes another way for some of what it takes: a base mesh without levels is rounded. And a field
-# that grows from call to call, and a mesh that is made ready and drawn.
+# Second variants of kernels: remeshing without levels only rounds the base mesh. Also calls on objects: a
+# growing volume, refinement, and rendering.
 OTHER_WAYS = {"remesh_alone": 60, "refine_surface": 150, "integrate": 700, "render_zbuffer": 100}
-# Takes nothing.
+# Allocates no memory.
 NONE = {"release_free_memory"}
 
 
-def test_every_kernel_is_here() -> None:
+def test_every_kernel_is_listed() -> None:
     assert set(SIDES) | NONE == {name for name in _kernels.__all__ if name.islower()}
 
 
-# A file of each kind, of a size that takes some memory to read.
+# A file of each kind, large enough that reading takes some memory.
 FILES = ("rgb.png", "rgb.jpg", "z.exr", "z.npy", "z.png", "m.ply", "m.obj", "m.off", "m.stl", "m.glb")
 
 
 @pytest.fixture(scope="module")
 def kernels() -> Iterator[subprocess.Popen[str]]:
-    """A process that has imported all that kernels need, and has one run after the other."""
-    with started("short_of_memory") as process:
+    """Start a process that has imported everything that kernels need, to run kernels one by one."""
+    with start_process("short_of_memory") as process:
         yield process
 
 
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="the address space is limited as Linux does it")
 @pytest.mark.parametrize("kernel", SIDES | OTHER_WAYS)
-def test_too_little_memory_is_an_error_and_no_abort(kernel: str, kernels: subprocess.Popen[str]) -> None:
-    ends = answer(kernels, f"{kernel} {(SIDES | OTHER_WAYS)[kernel]}")
+def test_too_little_memory_raises_an_error_without_abort(kernel: str, kernels: subprocess.Popen[str]) -> None:
+    ends = request_outcomes(kernels, f"{kernel} {(SIDES | OTHER_WAYS)[kernel]}")
     assert {end for how in ends.values() for end in how.values()} <= {DONE, MEMORY}, ends
     assert ends["rising"]["0 MiB"] == MEMORY
 
 
 @pytest.fixture(scope="module")
 def readers() -> Iterator[subprocess.Popen[str]]:
-    """A process that has imported all that readers import, and runs them."""
-    with started("readers_short_of_memory") as process:
+    """Start a process that has imported everything that readers need, to run readers one by one."""
+    with start_process("readers_short_of_memory") as process:
         yield process
 
 
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="the address space is limited as Linux does it")
 @pytest.mark.parametrize("name", FILES)
-def test_a_file_that_does_not_fit_is_not_called_damaged(
+def test_a_file_too_large_for_memory_is_not_reported_as_damaged(
     name: str, tmp_path: Path, readers: subprocess.Popen[str]
 ) -> None:
     write_file(tmp_path / name)
-    ends = answer(readers, str(tmp_path / name))
+    ends = request_outcomes(readers, str(tmp_path / name))
     assert set(ends.values()) <= {DONE, MEMORY}, ends
     assert (ends["800 MiB"], ends["0 MiB"]) == (DONE, MEMORY)
 
 
-def answer(process: subprocess.Popen[str], line: str) -> Any:
+def request_outcomes(process: subprocess.Popen[str], line: str) -> Any:
     assert process.stdin is not None
     assert process.stdout is not None
     process.stdin.write(f"{line}\n")
@@ -119,8 +119,8 @@ def answer(process: subprocess.Popen[str], line: str) -> Any:
     return json.loads(process.stdout.readline())
 
 
-def started(module: str) -> subprocess.Popen[str]:
-    # One arena: glibc otherwise reserves 64 MiB for a thread, and much of what is read here finds room in it.
+def start_process(module: str) -> subprocess.Popen[str]:
+    # A single arena: glibc otherwise reserves 64 MiB for each thread, which would hide failing allocations.
     return subprocess.Popen(
         [sys.executable, "-m", f"tests.made.{module}"],
         env={**os.environ, "MALLOC_ARENA_MAX": "1", "PYTHONPATH": os.pathsep.join(sys.path)},

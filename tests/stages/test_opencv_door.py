@@ -1,4 +1,4 @@
-"""OpenCV is not imported where there is no room for it: its import crashes there."""
+"""OpenCV is not imported without enough memory, because its import would crash."""
 
 import os
 import subprocess
@@ -21,7 +21,7 @@ except MemoryError:
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="the address space is limited as Linux does it")
 @pytest.mark.parametrize("spare", [300, 200, 100])
-def test_no_room_for_opencv_is_an_error_and_no_crash(spare):
+def test_too_little_memory_for_opencv_raises_an_error(spare):
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
     words = [sys.executable, "-c", LACKING.format(spare=spare)]
     run = subprocess.run(words, env=environment, capture_output=True, text=True)

@@ -1,4 +1,4 @@
-"""Results print as a line or two and never dump arrays; in a notebook as a table, with a picture."""
+"""Results print as one or two lines without arrays; in a notebook as a table with a picture."""
 
 import base64
 import re
@@ -28,20 +28,20 @@ def ball(subdivisions: int = 2) -> Mesh:
     return Mesh(np.array(mesh.vertices), np.array(mesh.faces, np.int32), colors)
 
 
-def textured() -> Mesh:
+def make_textured_mesh() -> Mesh:
     square = Mesh(np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0.0]]), np.array([[0, 1, 2]], np.int32))
     red = Image("red.png", given=np.full((4, 4, 3), (200, 0, 0), np.uint8))
     uvs = np.array([[[0, 0], [1, 0], [0, 1.0]]])
     return square.with_(texture=Texture(uvs, np.zeros(1, np.int32), (Material("paint", red),)))
 
 
-def with_image(image: Image) -> Mesh:
-    mesh = textured()
+def make_mesh_with_image(image: Image) -> Mesh:
+    mesh = make_textured_mesh()
     return mesh.with_(texture=replace(mesh.texture, materials=(Material("paint", image),)))
 
 
 def frames(count: int = 4) -> list[Frame]:
-    """Frames of a wall with a step in it, 1 m away."""
+    """Make frames of a wall with a step, 1 m away."""
     depth = np.full((48, 64), 1.0, np.float32)
     depth[:, 30:40] = 0.9
     color = np.full((48, 64, 3), 90, np.uint8)
@@ -51,13 +51,13 @@ def frames(count: int = 4) -> list[Frame]:
     return [Frame(f"{i}", CAMERA, color, depth=depth, world_from_camera=p) for i, p in enumerate(poses)]
 
 
-def exported(mesh: Mesh) -> stages.ExportResult:
+def export_mesh(mesh: Mesh) -> stages.ExportResult:
     with TemporaryDirectory() as folder:
         return stages.export(mesh, Path(folder) / "a.glb", stages.preset("web"))
 
 
-def registration() -> Registration:
-    """What register returns; the real thing takes frames that show more than a wall."""
+def build_registration() -> Registration:
+    """Build a result of register; a real registration needs frames with more structure than a wall."""
     edge = {"source": 0, "target": 1, "fitness": 0.8, "rmse_m": 0.002, "is_loop": False, "is_used": True}
     names = tuple(frame.name for frame in frames())
     dark = MESH_LEFT_OUT.warning("too dark")
@@ -70,8 +70,8 @@ def registration() -> Registration:
     )
 
 
-def simplified(mesh: Mesh) -> list[object]:
-    """What each method returns, its details, and what is kept of a run."""
+def simplify_with_each_method(mesh: Mesh) -> list[object]:
+    """Simplify with each method; return the results, their details, a record and a replay."""
     bounds = {"certified": {"max_shape": 0.1}, "jia01": {}, "planar": {}}
     methods = ("quadric", "certified", "seams", "jia01", "planar")
     found = [stages.simplify(mesh, method=name, **bounds.get(name, {"ratio": 0.5})) for name in methods]
@@ -79,8 +79,8 @@ def simplified(mesh: Mesh) -> list[object]:
     return [*found, *(one.details for one in found), record, record.replay(ratio=0.8)]
 
 
-def everything():
-    """One of every public class that is no parameters and no error, by real calls where these are quick."""
+def make_all_results():
+    """Make an instance of every public class except parameters and errors, by quick real calls."""
     mesh, scan = ball(), Scan("made", frames())
     far = Camera(640, 480, 525.123456789, 525.1, 319.5, 239.5, tuple(np.linspace(0.1, 1.4, 14) / 3))
     rig = StereoRig(CAMERA, CAMERA, np.eye(4), is_rectified=True)
@@ -98,8 +98,12 @@ def everything():
     fused = stages.fuse(scan, voxel_size=0.02, min_weight=1)
     return [
         mesh,
-        textured(),
-        *(textured().texture, textured().texture.materials[0], textured().texture.images[0]),
+        make_textured_mesh(),
+        *(
+            make_textured_mesh().texture,
+            make_textured_mesh().texture.materials[0],
+            make_textured_mesh().texture.images[0],
+        ),
         Image("photo.jpg", encoded=b"\xff\xd8\xff" * 1000),
         Material("grey", base_color=(0.5, 0.5, 0.5, 1.0)),
         scan,
@@ -129,7 +133,7 @@ def everything():
         remeshed,
         remeshed.offsets[0],
         stages.bake(ball(1), mesh, max_size=64),
-        registration(),
+        build_registration(),
         stages.adjust(scan),
         stages.texture(fused.mesh, scan),
         stages.depth(*pair, StereoRig(wide, wide, shifted, is_rectified=True), disparities=16),
@@ -138,12 +142,12 @@ def everything():
         inspected.trajectory,
         inspected.depth,
         stages.topology(mesh),
-        *simplified(mesh),
+        *simplify_with_each_method(mesh),
         stages.planar_patches(mesh),
         stages.Sphere((0, 0, 1.5), 0.25, importance=20.0),
         stages.Box((0, 0, 0), (1, 1, 1), lock=True),
         stages.viewpoints(mesh)[0],
-        exported(mesh),
+        export_mesh(mesh),
         stages.align(mesh, mesh)[1],
         stages.deviations(mesh, mesh),
         stages.changes(mesh, mesh),
@@ -154,7 +158,7 @@ def everything():
         (curve := stages.tradeoff(mesh, counts=(200, 100, 50), samples=1000)),
         curve.points[0],
         show(mesh, page_size=2),
-        # All of it was seen obliquely, as this asks.
+        # The whole mesh was seen at an angle above this limit.
         (missing := stages.coverage(fused.mesh, scan, max_angle=1.0, few_frames=100, min_area=1e-4)),
         missing.defects[0],
         MESH_LEFT_OUT.warning("colours are left out", "a.stl"),
@@ -163,7 +167,7 @@ def everything():
 
 @pytest.fixture(scope="module")
 def results():
-    return everything()
+    return make_all_results()
 
 
 @pytest.mark.slow
@@ -177,7 +181,7 @@ def test_results_print_as_a_line_or_two_without_arrays(results):
 
 
 @pytest.mark.slow
-def test_every_public_class_is_among_them(results):
+def test_every_public_class_is_covered(results):
     names = {name for name in stages.__all__ if name[0].isupper()} - {"MeshLike", "Severity"}
     classes = {getattr(stages, name) for name in names}
     results_of = {
@@ -186,10 +190,10 @@ def test_every_public_class_is_among_them(results):
     assert results_of <= {type(result) for result in results}
 
 
-def test_a_mesh_says_how_large_it_is():
+def test_a_mesh_prints_its_size():
     mesh = ball().with_(vertices=ball().vertices * (3.1, 2.05, 1.2))
     assert repr(mesh) == "Mesh(320 triangles, colours, 6.2 × 4.1 × 2.4 m)"
-    assert repr(textured()) == "Mesh(1 triangle, 1 texture image, 1 × 1 × 0 m)"
+    assert repr(make_textured_mesh()) == "Mesh(1 triangle, 1 texture image, 1 × 1 × 0 m)"
     assert (
         repr(mesh.with_(vertices=mesh.vertices / 1000)) == "Mesh(320 triangles, colours, 6.2 × 4.1 × 2.4 mm)"
     )
@@ -200,7 +204,7 @@ def test_a_mesh_says_how_large_it_is():
     assert repr(parts) == "Mesh(320 triangles, colours, 2 parts, 6.2 × 4.1 × 2.4 m, 1 diagnostic)"
 
 
-def test_a_result_says_how_many_diagnostics_it_has_and_a_notebook_which():
+def test_a_result_prints_its_diagnostics():
     mesh = ball().with_(part_ids=np.zeros(320, np.int32), part_names=("a",))
     result = stages.simplify(mesh, ratio=0.5, method="quadric")
     assert repr(result).endswith(", 1 diagnostic)")
@@ -208,7 +212,7 @@ def test_a_result_says_how_many_diagnostics_it_has_and_a_notebook_which():
     assert "<th style='text-align:left'>warning</th><td>simplify discards parts; method seams" in table
 
 
-def test_other_results_say_what_matters(results):
+def test_other_results_print_their_main_values(results):
     texts = {type(result).__name__: repr(result) for result in reversed(results)}
     assert texts["Scan"] == "Scan(made, 4 frames, colour and depth, poses)"
     assert texts["Frame"] == "Frame(0, 64 × 48 px, colour, depth, pose)"
@@ -222,19 +226,19 @@ def test_other_results_say_what_matters(results):
     assert "shape bound" in texts["Certificate"]
 
 
-def test_a_long_line_ends_where_a_fact_ends():
+def test_a_long_line_is_cut_between_facts():
     text = format_line(CAMERA, ["fact " * 20] * 9)
     assert text.endswith(", …)")
     assert len(text) <= 300
 
 
-def picture_in(html: str) -> np.ndarray | None:
+def extract_picture(html: str) -> np.ndarray | None:
     found = re.search(r"src='data:image/png;base64,([^']+)'", html)
     return None if found is None else cv2.imdecode(np.frombuffer(base64.b64decode(found[1]), np.uint8), 1)
 
 
 def test_a_notebook_shows_a_table_and_a_picture(results):
-    # A page is no table; tests/pipeline/report/page/test_show.py opens it.
+    # A page is not shown as a table; tests/pipeline/report/page/test_show.py tests it.
     shown = [one for one in results if hasattr(one, "_repr_html_") and not isinstance(one, Page)]
     assert {
         "SimplificationResult",
@@ -253,14 +257,14 @@ def test_a_notebook_shows_a_table_and_a_picture(results):
         assert len(html) < 200_000
         has_mesh = isinstance(getattr(result, "mesh", result), Mesh)
         has_photo = isinstance(result, Frame) or (isinstance(result, Scan) and len(result.frames) > 0)
-        assert (picture_in(html) is not None) == (has_mesh or has_photo), type(result)
+        assert (extract_picture(html) is not None) == (has_mesh or has_photo), type(result)
 
 
 def test_the_picture_shows_colours_texture_or_clay():
     def middle(mesh):
-        return picture_in(mesh._repr_html_())[80:100, 110:130].reshape(-1, 3).mean(axis=0)[::-1]
+        return extract_picture(mesh._repr_html_())[80:100, 110:130].reshape(-1, 3).mean(axis=0)[::-1]
 
-    red, green, blue = middle(textured())
+    red, green, blue = middle(make_textured_mesh())
     assert red > 60
     assert max(green, blue) < 10
     clay = middle(ball().with_(colors=None))
@@ -270,16 +274,16 @@ def test_the_picture_shows_colours_texture_or_clay():
     assert towards[1] > 128 > towards[0], "y is up, and x goes to the right behind the viewer"
 
 
-def test_a_scan_shows_photos_of_all_of_it():
+def test_a_scan_shows_evenly_spread_photos():
     def solid(*levels: int) -> np.ndarray:
         return np.broadcast_to(np.array(levels, np.uint8), (30, 40, 3)).copy()
 
     colors = [solid(20 * k, 0, 0) for k in range(12)]
     shown = [replace(frame, color=color) for frame, color in zip(frames(12), colors, strict=True)]
-    image = picture_in(Scan("made", shown)._repr_html_())
+    image = extract_picture(Scan("made", shown)._repr_html_())
     assert image.shape == (90, 480, 3)
     assert image[45, 60::120, 2].tolist() == [20, 80, 140, 200]
-    one = picture_in(replace(shown[3], right=solid(0, 0, 255))._repr_html_())
+    one = extract_picture(replace(shown[3], right=solid(0, 0, 255))._repr_html_())
     assert one[45, 60].tolist() == [0, 0, 60]
     assert one[45, 180].tolist() == [255, 0, 0]
 
@@ -298,22 +302,22 @@ def test_a_frame_whose_photo_cannot_be_shown_is_still_a_table(color):
         Mesh(np.zeros((3, 3)), np.array([[0, 1, 2]], np.int32)),
         Mesh(np.full((3, 3), np.nan), np.array([[0, 1, 2]], np.int32)),
         Mesh(np.eye(3), np.array([[0, 1, 9]], np.int32)),
-        textured().with_(
+        make_textured_mesh().with_(
             texture=replace(
-                textured().texture, materials=(Material("x", Image("x.png", encoded=b"no image")),)
+                make_textured_mesh().texture, materials=(Material("x", Image("x.png", encoded=b"no image")),)
             )
         ),
     ],
     ids=["empty", "point", "not finite", "out of range", "damaged image"],
 )
-def test_what_cannot_be_drawn_is_still_a_table(mesh):
+def test_a_mesh_that_cannot_be_drawn_is_still_a_table(mesh):
     html = mesh._repr_html_()
     assert "<table>" in html
     assert "<img" not in html
 
 
 def test_the_nearest_surface_is_drawn():
-    # A small blue triangle in front of a large red one, seen from where the picture is drawn.
+    # A small blue triangle in front of a large red one, from the direction of the picture.
     towards = thumbnail._VIEW_DIRECTION / np.linalg.norm(thumbnail._VIEW_DIRECTION)
     right = np.array((towards[2], 0, -towards[0]))
     up = np.cross(towards, right)

@@ -1,4 +1,4 @@
-"""What a progress function sees of long work in the kernels: it goes on only, never beyond all there is."""
+"""Progress of long kernels never decreases and never exceeds the total."""
 
 from __future__ import annotations
 
@@ -34,8 +34,8 @@ pytestmark = pytest.mark.slow
 
 
 @functools.cache
-def hills(n: int) -> Mesh:
-    """A noisy, coloured height field of n × n vertices on a square metre."""
+def make_hills(n: int) -> Mesh:
+    """Make a noisy, coloured height field of n × n vertices on one square metre."""
     x, y = np.meshgrid(np.linspace(0, 1, n), np.linspace(0, 1, n))
     noise = 0.002 * np.random.default_rng(1).normal(size=x.shape)
     vertices = np.stack([x, y, 0.05 * np.sin(9 * x) * np.cos(7 * y) + noise], -1).reshape(-1, 3)
@@ -46,8 +46,8 @@ def hills(n: int) -> Mesh:
 
 
 @functools.cache
-def light() -> Mesh:
-    return simplify(hills(100), ratio=0.1).mesh
+def simplify_hills() -> Mesh:
+    return simplify(make_hills(100), ratio=0.1).mesh
 
 
 ASKED: dict[str, dict[str, Any]] = {
@@ -59,46 +59,46 @@ ASKED: dict[str, dict[str, Any]] = {
 }
 
 
-def tiles_with_images(progress: Progress) -> None:
-    hierarchy = lod.build(hills(60), cell_triangles=500, root_triangles=100)
+def write_tiles_with_images(progress: Progress) -> None:
+    hierarchy = lod.build(make_hills(60), cell_triangles=500, root_triangles=100)
     with tempfile.TemporaryDirectory() as folder:
-        lod.write_tiles(hierarchy, Path(folder) / "tiles", texture=hills(60), progress=progress)
+        lod.write_tiles(hierarchy, Path(folder) / "tiles", texture=make_hills(60), progress=progress)
 
 
 WORK: dict[str, Callable[[Progress], object]] = {
     **{
         method.name: functools.partial(
-            lambda progress, **asked: simplify(hills(200), progress=progress, **asked),
+            lambda progress, **asked: simplify(make_hills(200), progress=progress, **asked),
             method=method.name,
             **ASKED[method.name],
         )
         for method in METHODS
     },
     "certified, to a number": lambda progress: simplify(
-        hills(100), max_shape=0.004, triangles=4000, progress=progress
+        make_hills(100), max_shape=0.004, triangles=4000, progress=progress
     ),
-    "certify": lambda progress: certify(light(), hills(100), progress=progress),
+    "certify": lambda progress: certify(simplify_hills(), make_hills(100), progress=progress),
     "certify within a limit": lambda progress: certify(
-        light(), hills(100), max_shape=0.008, progress=progress
+        simplify_hills(), make_hills(100), max_shape=0.008, progress=progress
     ),
-    "check": lambda progress: check(hills(250), progress=progress),
-    "lod": lambda progress: lod.build(hills(100), progress=progress),
-    "tiles, with images": tiles_with_images,
-    "lod, from a base": lambda progress: lod.build(hills(70), base_error=0.002, progress=progress),
-    "repair": lambda progress: repair(hills(200), corner_angle=30, progress=progress),
-    "clean, with repairs": lambda progress: clean(hills(100), repair=True, progress=progress),
-    "patches": lambda progress: planar_patches(hills(400), progress=progress),
+    "check": lambda progress: check(make_hills(250), progress=progress),
+    "lod": lambda progress: lod.build(make_hills(100), progress=progress),
+    "tiles, with images": write_tiles_with_images,
+    "lod, from a base": lambda progress: lod.build(make_hills(70), base_error=0.002, progress=progress),
+    "repair": lambda progress: repair(make_hills(200), corner_angle=30, progress=progress),
+    "clean, with repairs": lambda progress: clean(make_hills(100), repair=True, progress=progress),
+    "patches": lambda progress: planar_patches(make_hills(400), progress=progress),
     "register": lambda progress: register(read_scan(SAMPLE, ScanParams(every=3)), progress=progress),
-    "remesh": lambda progress: remesh(light(), progress=progress),
+    "remesh": lambda progress: remesh(simplify_hills(), progress=progress),
 }
 
 
 @pytest.mark.parametrize("name", WORK)
-def test_progress_goes_on_and_stays_within_what_there_is(name: str) -> None:
+def test_progress_never_decreases_or_exceeds_its_total(name: str) -> None:
     seen: list[tuple[int, int]] = []
     WORK[name](lambda done, total: seen.append((done, total)))
     assert seen
     assert all(0 <= done <= total for done, total in seen)
     assert [done for done, _ in seen] == sorted(done for done, _ in seen)
-    # Before anything is told, all is nothing; from then on it stays what it is.
+    # The total may be 0 before the work starts; after that it is constant.
     assert len({total for _, total in seen} - {0}) <= 1

@@ -1,4 +1,4 @@
-"""Rounded numbers stay true: bounds are never below, what was found never above."""
+"""Rounding keeps statements true: bounds are rounded up, measured values are rounded down."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def test_to_four_digits(value: float, down: float, up: float) -> None:
 
 
 @given(st.floats(0, 1e12, allow_subnormal=False), st.integers(1, 6))
-def test_the_number_that_is_read_is_on_the_right_side(value: float, digits: int) -> None:
+def test_printed_numbers_are_rounded_in_the_requested_direction(value: float, digits: int) -> None:
     low, high = (f"{one(value, digits):.{digits}g}" for one in (round_down, round_up))
     assert float(low) <= value <= float(high)
     assert Fraction(high) - Fraction(low) <= Fraction(value) / 10 ** (digits - 1)

@@ -1,4 +1,4 @@
-"""What is up goes through all that is done to a mesh."""
+"""All mesh operations keep the up direction."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from coloured_sheet import UP, ball, sheet, textured_sheet
 from scanloom import Mesh, stages
 
 
-def replayed(mesh: Mesh, tmp_path) -> Mesh:
+def replay_record(mesh: Mesh, tmp_path) -> Mesh:
     record = stages.simplify(mesh, ratio=0.5, record=True).record
     record.save(tmp_path / "record.npz")
     return stages.load_record(tmp_path / "record.npz").replay(ratio=0.7).mesh
@@ -23,7 +23,7 @@ WAYS: dict[str, Callable[..., Mesh]] = {
     "jia01": lambda mesh, _: stages.simplify(mesh, method="jia01", ratio=0.7).mesh,
     "planar": lambda mesh, _: stages.simplify(mesh, method="planar", max_shape=0.1).mesh,
     "seams": lambda mesh, _: stages.simplify(mesh, method="seams", ratio=0.5).mesh,
-    "replay": replayed,
+    "replay": replay_record,
     "clean": lambda mesh, _: stages.clean(mesh).mesh,
     "repair": lambda mesh, _: stages.repair(mesh).mesh,
     "bake": lambda mesh, _: stages.bake(mesh, mesh).mesh,
@@ -42,5 +42,5 @@ def test_up_is_kept(tmp_path, way, made):
     assert np.isfinite(result.vertices).all()
 
 
-def test_a_ball_keeps_it_too(tmp_path):
+def test_up_is_kept_when_remeshing_a_sphere(tmp_path):
     assert WAYS["remesh"](ball(), tmp_path).up == UP

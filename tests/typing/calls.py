@@ -1,6 +1,6 @@
-"""Calls as people write them, good and bad; only a type checker reads this file.
+"""Typical calls, right and wrong; only type checkers read this file.
 
-`# error: CODE` stands behind what it must refuse; all else must pass. See test_types.py.
+A line with `# error: CODE` must be refused, every other line must pass. See test_types.py.
 """
 
 from pathlib import Path
@@ -47,7 +47,7 @@ image = np.zeros((4, 4, 3), np.uint8)
 _ = scanloom.simplfy  # error: attr-defined
 _ = scanloom.stages.show  # error: attr-defined
 
-# Keywords are those of the parameters.
+# Keywords are the fields of the parameter classes.
 fuse(scan)
 fuse(scan, voxel_size=0.01, device="CPU:0")
 fuse(scan, scanloom.FuseParams(voxel_size=0.01), max_depth=3)
@@ -82,7 +82,7 @@ scanloom.show(mesh, heigth=300)  # error: call-arg
 scanloom.FuseParams(voxel=1.0)  # error: call-arg
 scanloom.FuseParams(0.01)  # error: call-arg
 
-# A mesh is ours, Open3D's, trimesh's, or a pair of arrays.
+# A mesh is a Mesh, an Open3D or trimesh mesh, or a pair of arrays.
 ours: list[MeshLike] = [mesh, to_open3d(mesh), to_open3d_legacy(mesh), to_trimesh(mesh)]
 clean(o3d.t.geometry.TriangleMesh())
 clean(o3d.geometry.TriangleMesh())
@@ -129,7 +129,7 @@ _ = mesh.colors.shape  # error: union-attr
 fuse(scan).voxel_size = 0.5  # error: misc
 depth(image, image)  # error: call-arg
 
-# Methods of `simplify` have keywords and details of their own.
+# Each method of `simplify` has separate keywords and details.
 simplify(mesh, ratio=0.1, lock=[0, 1], progress=lambda done, total: done < total)
 simplify(mesh, scanloom.SimplifyParams(max_shape=0.01, max_color=20), triangles=1000)
 simplify(mesh, ratios=0.1)  # error: call-overload

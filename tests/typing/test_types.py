@@ -1,4 +1,4 @@
-"""What a type checker says of calls.py: no more and no less than is expected there."""
+"""mypy reports exactly the errors that calls.py expects."""
 
 import re
 import subprocess
@@ -13,8 +13,8 @@ CALLS = Path(__file__).with_name("calls.py")
 
 
 @pytest.fixture(scope="module", autouse=True)
-def packages() -> None:
-    """Link the packages for mypy, as `make mypy` does."""
+def link_packages() -> None:
+    """Link the packages for mypy, like `make mypy`."""
     folder = ROOT / "build" / "types" / "scanloom"
     folder.mkdir(parents=True, exist_ok=True)
     for name in ("stages", "pipeline", "cli"):
@@ -22,11 +22,12 @@ def packages() -> None:
             (folder / name).symlink_to(Path("..", "..", "..", name))
 
 
-def test_type_checkers_pass_good_calls_and_refuse_bad_ones():
+def test_mypy_accepts_right_calls_and_refuses_wrong_ones():
     lines = CALLS.read_text(encoding="utf-8").splitlines()
     marks = {number: re.search(r"# error: ([\w-]+)$", line) for number, line in enumerate(lines, 1)}
     expected = {(number, mark[1]) for number, mark in marks.items() if mark}
-    # Its cache is that of `make lint`, whose options are the same: cold it takes a while, then a second.
+    # The cache is shared with `make lint`, whose options are the same; without a cache mypy takes much
+    # longer.
     command = [sys.executable, "-m", "mypy", "--no-error-summary", "--no-pretty", str(CALLS)]
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
     said = re.findall(r"^(\S+?):(\d+): error: .*\[([\w-]+)\]$", done.stdout, re.MULTILINE)

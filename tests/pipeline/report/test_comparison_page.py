@@ -1,4 +1,4 @@
-"""The page of a comparison, in a browser: what it shows, says, and where it flies to."""
+"""The page of a comparison in a browser: models, texts, and camera movements."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ from scanloom.pipeline.report.comparison_page import make_comparison_page
 
 pytestmark = pytest.mark.slow
 UP = (0.0, 0.0, 1.0)
-# As surveys have it: what single precision is too coarse for.
+# Map coordinates, beyond the resolution of single precision.
 FAR = np.array((432_100.0, 5_211_000.0, 310.0))
 
 
-def ball(at: tuple[float, float, float], radius: float) -> tuple[np.ndarray, np.ndarray]:
+def make_ball(at: tuple[float, float, float], radius: float) -> tuple[np.ndarray, np.ndarray]:
     made = trimesh.creation.icosphere(subdivisions=3, radius=radius)
     return np.array(made.vertices) + at, np.array(made.faces, np.int32)
 
 
-def of(*parts: tuple[np.ndarray, np.ndarray], color: tuple[int, int, int]) -> Mesh:
+def join_parts(*parts: tuple[np.ndarray, np.ndarray], color: tuple[int, int, int]) -> Mesh:
     starts = np.cumsum([0, *(len(vertices) for vertices, _ in parts)])
     vertices = np.concatenate([vertices for vertices, _ in parts]) + FAR
     triangles = np.concatenate([rows + start for (_, rows), start in zip(parts, starts, strict=False)])
@@ -37,7 +37,7 @@ def of(*parts: tuple[np.ndarray, np.ndarray], color: tuple[int, int, int]) -> Me
     )
 
 
-def metrics_of(a: Mesh, b: Mesh, found: Any, moved: Any, views: Any) -> dict[str, Any]:
+def compute_metrics(a: Mesh, b: Mesh, found: Any, moved: Any, views: Any) -> dict[str, Any]:
     return {
         **stages.compare(a, b, samples=2000).to_dict(),
         "deviation": found.to_dict(),
@@ -46,16 +46,19 @@ def metrics_of(a: Mesh, b: Mesh, found: Any, moved: Any, views: Any) -> dict[str
     }
 
 
-def silent(text: str) -> None:
+def fail_on_call(text: str) -> None:
     raise AssertionError(text)
 
 
 @pytest.fixture(scope="module")
 def pages(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
-    """Two balls of which one grows and one goes, and another comes; and a cloud of the first two."""
+    """Make two spheres that change:
+
+    one grows, one disappears, a new one appears; and a cloud of the first two.
+    """
     folder = tmp_path_factory.mktemp("pages")
-    before = of(ball((0, 0, 0), 1), ball((1.75, 0, 0), 0.3), color=(200, 120, 40))
-    after = of(ball((0, 0, 0), 1.02), ball((3, 0, 0), 0.5), color=(40, 120, 200))
+    before = join_parts(make_ball((0, 0, 0), 1), make_ball((1.75, 0, 0), 0.3), color=(200, 120, 40))
+    after = join_parts(make_ball((0, 0, 0), 1.02), make_ball((3, 0, 0), 0.5), color=(40, 120, 200))
     points = make_cloud(before.vertices * (1, 1, 1), before.colors).with_(up=UP)
     written = {}
     for name, other in (("meshes", after), ("points", points)):
@@ -64,7 +67,7 @@ def pages(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
         if name == "meshes":
             moved = stages.changes(before, other, change_distance=0.2)
             views = stages.compare_views(before, other, views=1, view_width=64)
-        metrics = metrics_of(before, other, found, moved, views)
+        metrics = compute_metrics(before, other, found, moved, views)
         names = ("before.ply", "<i>after</i>.ply")
         page = make_comparison_page(names, (before, other), found, moved, metrics, 5_000_000)
         written[name] = folder / f"{name}.html"
@@ -103,8 +106,8 @@ def wait_for(page: Any, what: str) -> None:
     pytest.fail(what)
 
 
-def seen(page: Any, key: str) -> np.ndarray:
-    """Return what is drawn of the model that a key shows, above the bar and beside the legend."""
+def take_screenshot(page: Any, key: str) -> np.ndarray:
+    """Show a model by its key and take a screenshot without toolbar and legend."""
     page.keyboard.press(key)
     wait_for(page, f"scanloom.settings().model === {int(key) - 1}")
     page.evaluate("scanloom.drawn()")
@@ -113,7 +116,7 @@ def seen(page: Any, key: str) -> np.ndarray:
     return image[: image.shape[0] * 2 // 3, : image.shape[1] * 3 // 4]
 
 
-def counts(image: np.ndarray) -> dict[str, int]:
+def count_colors(image: np.ndarray) -> dict[str, int]:
     red, green, blue = np.moveaxis(image, 2, 0)
     return {
         "red": int(((red - green > 60) & (red - blue > 60)).sum()),
@@ -125,28 +128,28 @@ def counts(image: np.ndarray) -> dict[str, int]:
 def test_models_have_their_colours_and_the_deviation_its_scale(page: Any) -> None:
     options = page.locator("#model option").all_inner_texts()
     assert options[:3] == ["deviation of B from A", "A: before.ply", "B: <i>after</i>.ply"]
-    deviation = counts(seen(page, "1"))
+    deviation = count_colors(take_screenshot(page, "1"))
     assert page.locator("#legend").is_visible()
     assert {"mm", "+50", "+10", "-10", "-50"} <= set(page.inner_text("#legend").split())
-    assert counts(seen(page, "2"))["red"] > 500
+    assert count_colors(take_screenshot(page, "2"))["red"] > 500
     assert page.locator("#legend").is_hidden()
     if page.is_of_meshes:
-        # The grown ball is outside by more than the tolerance, and so is the new one.
+        # The grown sphere is outside by more than the tolerance, and so is the new one.
         assert deviation["red"] > 500
-        assert counts(seen(page, "3"))["blue"] > 500
+        assert count_colors(take_screenshot(page, "3"))["blue"] > 500
         assert options[3:] == ["change"]
-        change = counts(seen(page, "4"))
+        change = count_colors(take_screenshot(page, "4"))
         assert change["green"] > 100
         assert change["red"] > 30
     else:
         assert deviation["green"] > 500
         assert deviation["red"] == 0
-        assert counts(seen(page, "3"))["red"] > 500
+        assert count_colors(take_screenshot(page, "3"))["red"] > 500
         assert "points, each a triangle" in page.inner_text("#metrics")
         assert len(options) == 3
 
 
-def test_what_is_told_and_flown_to(page: Any) -> None:
+def test_the_table_lists_deviations_and_moves_the_camera(page: Any) -> None:
     text = page.inner_text("#told")
     assert "Deviation of B from A, sampled" in text
     assert "before.ply" in page.title()
@@ -154,7 +157,7 @@ def test_what_is_told_and_flown_to(page: Any) -> None:
     assert ("Pictures from all around, in colour" in text) == page.is_of_meshes
     assert "nan" not in text.lower()
     if page.is_of_meshes:
-        # The farthest off is the new ball: its place is told in the axes of the files, and flown to.
+        # The largest deviation is on the new sphere; the table gives its position in file coordinates.
         row = page.locator("table").nth(1).locator("tbody tr").first
         place = np.array([float(word) for word in row.locator("td").nth(1).inner_text().split(",")])
         assert np.linalg.norm(place - FAR - (3, 0, 0)) == pytest.approx(0.5, abs=0.02)
@@ -162,9 +165,9 @@ def test_what_is_told_and_flown_to(page: Any) -> None:
         np.testing.assert_allclose(page.evaluate("scanloom.view()")["target"], place, atol=2e-3)
 
 
-def test_two_models_stand_in_one_place(page: Any) -> None:
-    """At map coordinates, where numbers of single precision are half a metre apart."""
-    first, second = (seen(page, key) for key in ("2", "3"))
+def test_two_models_are_aligned(page: Any) -> None:
+    """At map coordinates, single precision has a resolution of half a metre."""
+    first, second = (take_screenshot(page, key) for key in ("2", "3"))
     background = first[0, 0]
     shown = [(np.abs(image - background).max(axis=2) > 20)[40:] for image in (first, second)]
     if not page.is_of_meshes:

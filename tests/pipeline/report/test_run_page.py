@@ -1,4 +1,4 @@
-"""The page of an output folder: only what a run writes gets into it, and it keeps to its size."""
+"""The page of an output folder: it includes only files of the run, and respects its size limit."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from scanloom.stages.surface.formats.ply import write_ply
 CAMERA = Camera(80, 60, 70, 70, 39.5, 29.5)
 
 
-def frame(number: int) -> Frame:
+def make_frame(number: int) -> Frame:
     image = np.random.default_rng(number).integers(0, 255, (360, 480, 3), np.uint8)
     pose = np.eye(4)
     pose[0, 3] = number
@@ -32,15 +32,15 @@ def frame(number: int) -> Frame:
 
 @pytest.fixture
 def out(tmp_path: Path) -> Path:
-    """What there is of a run that a page needs."""
+    """Write the results of a run that a page needs."""
     folder = tmp_path / "out"
     (folder / "pictures").mkdir(parents=True)
     write_ply(folder / "simplified.ply", sheet(4))
-    write_photos(folder / "pictures", [frame(k) for k in range(8)], 4)
+    write_photos(folder / "pictures", [make_frame(k) for k in range(8)], 4)
     return folder
 
 
-def rewrite(path: Path, change: Any) -> None:
+def rewrite_json(path: Path, change: Any) -> None:
     document = json.loads(path.read_text())
     changed = change(document)
     path.write_text(json.dumps(document if changed is None else changed))
@@ -55,7 +55,7 @@ def test_cameras_and_photos_are_those_of_the_run(out: Path) -> None:
     assert base64.b64decode(photos[0].partition(",")[2]) == files[0].read_bytes()
 
 
-def test_photos_leave_room_for_the_model(out: Path) -> None:
+def test_photos_leave_space_for_the_model(out: Path) -> None:
     sizes = [path.stat().st_size for path in (out / "pictures" / "photos").iterdir()]
     with collecting() as diagnostics:
         cameras = read_page_content(make_run_page(out, 4 * (sum(sizes) - 1)))["cameras"]
@@ -77,25 +77,25 @@ def test_photos_leave_room_for_the_model(out: Path) -> None:
         (7, "not written by a run, or is damaged"),
     ],
 )
-def test_nothing_else_gets_into_a_page_that_is_passed_on(out: Path, name: object, said: str) -> None:
+def test_no_other_file_gets_into_a_page(out: Path, name: object, said: str) -> None:
     secret = out.parent / "secret.jpg"
     cv2.imwrite(str(secret), np.zeros((8, 8, 3), np.uint8))
     (out / "pictures" / "photos" / "link.jpg").symlink_to(secret)
-    rewrite(out / "pictures" / "cameras.json", lambda told: told["cameras"][0].update(photo=name))
+    rewrite_json(out / "pictures" / "cameras.json", lambda told: told["cameras"][0].update(photo=name))
     with pytest.raises(InputError, match=said):
         make_run_page(out, 5_000_000)
 
 
-@pytest.mark.parametrize("key", ["frame", "world_from_camera", "size", "fy", "photo"])
+@pytest.mark.parametrize("key", ["make_frame", "world_from_camera", "size", "fy", "photo"])
 @pytest.mark.parametrize("value", [..., "x", [], [0, 2], {}, -1, float("nan")])
-def test_damaged_cameras_are_one_sentence(out: Path, key: str, value: object) -> None:
+def test_damaged_cameras_are_an_input_error(out: Path, key: str, value: object) -> None:
     def damaged(told: dict[str, Any]) -> None:
         if value is ...:
             del told["cameras"][1][key]
         else:
             told["cameras"][1][key] = value
 
-    rewrite(out / "pictures" / "cameras.json", damaged)
+    rewrite_json(out / "pictures" / "cameras.json", damaged)
     if key == "frame" and value is not ...:
         assert read_page_content(make_run_page(out, 5_000_000))["cameras"][1]["frame"] == str(value)
         return
@@ -105,10 +105,10 @@ def test_damaged_cameras_are_one_sentence(out: Path, key: str, value: object) ->
 
 @pytest.mark.parametrize("text", ["", "[]", "{", "7", '{"cameras": 7}', '{"cameras": [7]}', "[[[[]]]]"])
 @pytest.mark.parametrize("name", ["pictures/cameras.json", "report.json"])
-def test_damaged_documents_are_one_sentence(out: Path, name: str, text: str) -> None:
+def test_damaged_documents_are_an_input_error(out: Path, name: str, text: str) -> None:
     (out / name).write_text(text)
     if name == "report.json" and text.startswith(('{"', "[]")):
-        make_run_page(out, 5_000_000)  # nothing of a run is told in it
+        make_run_page(out, 5_000_000)  # such a report has no content for the page
         return
     with pytest.raises(InputError, match=name):
         make_run_page(out, 5_000_000)
@@ -117,13 +117,13 @@ def test_damaged_documents_are_one_sentence(out: Path, name: str, text: str) -> 
 @pytest.mark.parametrize(
     "report", [{"stages": {"fuse": {}}}, {"stages": [1]}, {"scan": 7}, {"scan": {"frames_skipped": [1]}}]
 )
-def test_a_report_that_no_run_has_written_is_one_sentence(out: Path, report: object) -> None:
+def test_a_report_of_another_program_is_an_input_error(out: Path, report: object) -> None:
     (out / "report.json").write_text(json.dumps(report))
     with pytest.raises(InputError, match=r"report\.json"):
         make_run_page(out, 5_000_000)
 
 
-def test_a_mesh_has_a_page_of_its_own() -> None:
+def test_a_single_mesh_has_a_page() -> None:
     content = read_page_content(make_mesh_page("thing", sheet(4), 5_000_000))
     assert (content["title"], [one["name"] for one in content["models"]]) == ("thing", ["thing"])
     assert content["cameras"] == []

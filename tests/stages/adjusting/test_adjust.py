@@ -1,4 +1,4 @@
-"""The sample is left as it is; disturbed on purpose it comes back; what cannot be used is told."""
+"""Exact poses of the sample are kept, disturbed poses are recovered, and unusable input is reported."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ def frames() -> Sequence[Frame]:
 
 @pytest.fixture(scope="module")
 def half(frames: Sequence[Frame]) -> Sequence[Frame]:
-    """Every other frame: the same way in steps twice as long, for a third of the time."""
+    """Take every other frame: the same trajectory with doubled steps, for a third of the time."""
     return frames[::2]
 
 
-def jittered(frames: Sequence[Frame], metres: float, degrees: float, zoom: float = 1.0) -> list[Frame]:
-    """Return frames with poses off by so much, and a colour camera of another focal length."""
+def disturb_frames(frames: Sequence[Frame], metres: float, degrees: float, zoom: float = 1.0) -> list[Frame]:
+    """Add random errors of this size to poses, and scale the focal length of the colour camera."""
     rng = np.random.default_rng(1)
     scale = np.array([metres] * 3 + [np.radians(degrees)] * 3) / np.sqrt(3)
     result = []
@@ -43,8 +43,8 @@ def jittered(frames: Sequence[Frame], metres: float, degrees: float, zoom: float
     return result
 
 
-def rolling(frames: Sequence[Frame], degrees: float) -> tuple[list[Frame], np.ndarray]:
-    """Return frames whose rows were read one after the other by cameras that turned, and how they did."""
+def render_rolling_shutter(frames: Sequence[Frame], degrees: float) -> tuple[list[Frame], np.ndarray]:
+    """Render frames with a rolling shutter and rotating cameras; return the rotations as well."""
     turns = np.radians(degrees) * np.random.default_rng(7).normal(size=(len(frames), 3))
     turns -= turns.mean(axis=0)
     result = []
@@ -66,15 +66,18 @@ def rolling(frames: Sequence[Frame], degrees: float) -> tuple[list[Frame], np.nd
     return result, turns
 
 
-def apart(frames: Sequence[Frame], others: Sequence[Frame]) -> np.ndarray:
-    """Return how far steps from frame to frame differ, (n, 2) metres and degrees: the world may move."""
+def measure_relative_errors(frames: Sequence[Frame], others: Sequence[Frame]) -> np.ndarray:
+    """Compute differences of relative motions between consecutive frames, (n, 2) metres and degrees.
+
+    Independent of the world frame.
+    """
     both = [[one.world_from_camera for one in some] for some in (frames, others)]
     steps = [[np.linalg.inv(a) @ b for a, b in itertools.pairwise(poses)] for poses in both]
     return np.array([compute_pose_distance(a, b) for a, b in zip(*steps, strict=True)])
 
 
-def apart_in_all(frames: Sequence[Frame], others: Sequence[Frame]) -> float:
-    """Return the RMS distance of camera centres after the best rigid motion (Umeyama), metres."""
+def measure_trajectory_error(frames: Sequence[Frame], others: Sequence[Frame]) -> float:
+    """Compute the RMS distance of camera centres after the best rigid motion (Umeyama), metres."""
     a, b = (np.stack([one.world_from_camera[:3, 3] for one in some]) for some in (frames, others))
     a, b = a - a.mean(axis=0), b - b.mean(axis=0)
     left, _, right = np.linalg.svd(a.T @ b)
@@ -83,7 +86,7 @@ def apart_in_all(frames: Sequence[Frame], others: Sequence[Frame]) -> float:
 
 
 @pytest.mark.slow
-def test_exact_poses_are_left_as_they_are(frames):
+def test_exact_poses_are_kept(frames):
     told: list[int] = []
     found = adjust(frames, progress=lambda done, _: told.append(done))
     assert len(set(told)) >= 10, "checks of a sample take long, and progress moves"
@@ -95,8 +98,8 @@ def test_exact_poses_are_left_as_they_are(frames):
 
 
 @pytest.mark.slow
-def test_disturbed_poses_come_back(half):
-    disturbed = jittered(half, 0.01, 0.5)
+def test_disturbed_poses_are_recovered(half):
+    disturbed = disturb_frames(half, 0.01, 0.5)
     told: list[tuple[int, int]] = []
     found = adjust(disturbed, progress=lambda done, total: told.append((done, total)))
     assert found.accepted
@@ -104,15 +107,17 @@ def test_disturbed_poses_come_back(half):
     assert [done for done, _ in told] == sorted(done for done, _ in told)
     assert {total for _, total in told} == {told[-1][0]}
     assert found.error_after.median < 0.3 < 2 < found.error_before.median
-    was, is_now = (np.median(apart(half, some), axis=0) for some in (disturbed, found.frames))
+    was, is_now = (
+        np.median(measure_relative_errors(half, some), axis=0) for some in (disturbed, found.frames)
+    )
     assert is_now[0] < 0.2 * was[0]
     assert is_now[1] < 0.15 * was[1]
     assert all(frame.color_camera is None for frame in found.frames)
 
 
 @pytest.mark.slow
-def test_a_wrong_focal_length_comes_back_with_the_poses(half):
-    disturbed = jittered(half, 0.01, 0.5, zoom=1.05)
+def test_a_wrong_focal_length_is_recovered_with_the_poses(half):
+    disturbed = disturb_frames(half, 0.01, 0.5, zoom=1.05)
     found = adjust(disturbed)
     assert found.accepted
     assert found.is_camera_adjusted
@@ -122,14 +127,14 @@ def test_a_wrong_focal_length_comes_back_with_the_poses(half):
     assert camera.distortion[1:] == (0, 0, 0) or camera.distortion == ()
     assert (camera.width, camera.height) == (320, 240)
     assert np.linalg.norm(found.frames[0].color_from_depth[:3, 3]) < 0.004
-    assert np.median(apart(half, found.frames), axis=0)[0] < 0.002
+    assert np.median(measure_relative_errors(half, found.frames), axis=0)[0] < 0.002
     assert found.camera_before.fx == pytest.approx(1.05 * half[0].camera.fx)
 
 
 @pytest.mark.slow
-def test_turns_while_rows_are_read_are_found_with_the_poses(half):
-    made, turns = rolling(half, 1.0)
-    disturbed = jittered(made, 0.006, 0.3)
+def test_rolling_shutter_rotations_are_estimated_with_the_poses(half):
+    made, turns = render_rolling_shutter(half, 1.0)
+    disturbed = disturb_frames(made, 0.006, 0.3)
     found = adjust(disturbed)
     assert found.is_shutter_adjusted
     assert "rolling shutter" in found.reason
@@ -138,52 +143,52 @@ def test_turns_while_rows_are_read_are_found_with_the_poses(half):
     )
     told = np.stack([frame.shutter_turn for frame in found.frames])
     assert np.linalg.norm(told - turns) < 0.3 * np.linalg.norm(turns)
-    assert np.median(apart(half, found.frames), axis=0)[0] < 0.003
+    assert np.median(measure_relative_errors(half, found.frames), axis=0)[0] < 0.003
     at_once = adjust(disturbed, shutter=False)
     assert not at_once.is_shutter_adjusted
     assert all(frame.shutter_turn is None for frame in at_once.frames)
     assert found.error_after.median < 0.6 * at_once.error_after.median
-    # Rows that are put right are adjusted from where they were read.
+    # Frames with a known rolling shutter are adjusted from their corrected state.
     again = adjust(list(found.frames))
     assert not again.accepted
 
 
 @pytest.mark.slow
-def test_turns_that_are_asked_for_are_next_to_none_where_rows_were_read_at_once(half):
-    found = adjust(jittered(half, 0.01, 0.5), shutter=True)
+def test_global_shutter_frames_get_negligible_rotations(half):
+    found = adjust(disturb_frames(half, 0.01, 0.5), shutter=True)
     assert found.is_shutter_adjusted
     assert found.readout_rotation_deg[0] < 0.1
     assert found.error_after.median < 0.3
 
 
 @pytest.mark.slow
-def test_frames_between_key_frames_turn_too(frames, monkeypatch):
+def test_frames_between_keyframes_get_shutter_rotations(frames, monkeypatch):
     monkeypatch.setattr("scanloom.stages.adjusting.adjust._MAX_KEY_FRAMES", 8)
-    made, turns = rolling(frames[:14], 1.0)
-    found = adjust(jittered(made, 0.004, 0.2))
+    made, turns = render_rolling_shutter(frames[:14], 1.0)
+    found = adjust(disturb_frames(made, 0.004, 0.2))
     assert found.key_frame_count == 8
     assert found.is_shutter_adjusted
     told = np.stack([frame.shutter_turn for frame in found.frames])
     assert np.linalg.norm(told - turns) < 0.5 * np.linalg.norm(turns)
-    # Where turns are known, and none are looked for, frames between have theirs, too.
+    # With known rotations and shutter=False, frames between keyframes also keep their rotation.
     known = [replace(frame, shutter_turn=turn) for frame, turn in zip(made, turns, strict=True)]
-    placed = adjust(jittered(known, 0.006, 0.3), shutter=False)
+    placed = adjust(disturb_frames(known, 0.006, 0.3), shutter=False)
     assert placed.unadjusted_count == 0
     assert all(a.shutter_turn is b.shutter_turn for a, b in zip(placed.frames, known, strict=True))
-    assert np.median(apart(frames[:14], placed.frames), axis=0)[0] < 0.002
+    assert np.median(measure_relative_errors(frames[:14], placed.frames), axis=0)[0] < 0.002
 
 
 @pytest.mark.slow
-def test_a_camera_that_is_swung_about_is_nearer_to_its_true_way(shared_data):
+def test_shutter_correction_improves_a_real_trajectory(shared_data):
     scan = read_scan(shared_data / "real" / "rgbd_dataset_freiburg1_rpy")
     found = adjust(scan)
     assert found.is_shutter_adjusted
     assert found.error_after.median < 1.5
-    assert apart_in_all(scan.frames, found.frames) < 0.014
+    assert measure_trajectory_error(scan.frames, found.frames) < 0.014
     at_once = adjust(scan, shutter=False)
-    assert apart_in_all(scan.frames, at_once.frames) > 0.016
+    assert measure_trajectory_error(scan.frames, at_once.frames) > 0.016
     assert found.error_after.median < 0.8 * at_once.error_after.median
-    # Times and poses, which nothing was told of, say how fast it turned: up and down, left and right.
+    # Independent reference: times and poses give the angular velocity about the vertical and horizontal axes.
     turns, speeds = [], []
     for before, one, after in zip(found.frames, found.frames[1:], found.frames[2:], strict=False):
         step = np.linalg.inv(before.world_from_camera) @ after.world_from_camera
@@ -195,8 +200,8 @@ def test_a_camera_that_is_swung_about_is_nearer_to_its_true_way(shared_data):
 
 
 @pytest.mark.slow
-def test_it_finds_the_same_every_time(frames):
-    disturbed = jittered(frames[:6], 0.01, 0.5, zoom=1.05)
+def test_adjust_is_deterministic(frames):
+    disturbed = disturb_frames(frames[:6], 0.01, 0.5, zoom=1.05)
     once, again = adjust(disturbed), adjust(disturbed)
     assert once.accepted
     for one, other in zip(once.frames, again.frames, strict=True):
@@ -205,22 +210,24 @@ def test_it_finds_the_same_every_time(frames):
 
 
 @pytest.mark.slow
-def test_frames_between_key_frames_are_placed_too(frames, monkeypatch):
+def test_frames_between_keyframes_are_adjusted(frames, monkeypatch):
     monkeypatch.setattr("scanloom.stages.adjusting.adjust._MAX_KEY_FRAMES", 8)
     some = frames[:14]
-    disturbed = jittered(some, 0.006, 0.3)
+    disturbed = disturb_frames(some, 0.006, 0.3)
     found = adjust(disturbed)
     assert found.key_frame_count == 8
     assert found.unadjusted_count == 0
     assert len(found.adjusted_indices) == len(some)
-    was, is_now = (np.median(apart(some, those), axis=0) for those in (disturbed, found.frames))
+    was, is_now = (
+        np.median(measure_relative_errors(some, those), axis=0) for those in (disturbed, found.frames)
+    )
     assert is_now[0] < 0.4 * was[0]
     assert is_now[1] < 0.3 * was[1]
 
 
 @pytest.mark.slow
 def test_frames_that_cannot_be_used_keep_their_poses(half):
-    disturbed = jittered(half, 0.01, 0.5)
+    disturbed = disturb_frames(half, 0.01, 0.5)
     dark = np.zeros((240, 320, 3), np.uint8)
     disturbed[5] = replace(disturbed[5], color=dark)
     disturbed[9] = replace(disturbed[9], world_from_camera=None)
@@ -233,7 +240,7 @@ def test_frames_that_cannot_be_used_keep_their_poses(half):
     assert not {5, 9} & set(found.adjusted_indices)
 
 
-def test_black_frames_are_told(frames):
+def test_black_frames_are_reported(frames):
     dark = [replace(frame, color=np.zeros((240, 320, 3), np.uint8)) for frame in frames[:4]]
     found = adjust(dark)
     assert not found.accepted
@@ -241,19 +248,19 @@ def test_black_frames_are_told(frames):
     assert found.diagnostics == (), "there is nothing in them that could be wrong"
 
 
-def test_over_exposed_frames_are_told(frames):
+def test_over_exposed_frames_are_reported(frames):
     white = [replace(frame, color=np.full((240, 320, 3), 255, np.uint8)) for frame in frames[:4]]
     assert "over-exposed" in adjust(white).reason
 
 
-def test_frames_without_depth_are_told(frames):
+def test_frames_without_depth_are_reported(frames):
     bare = [replace(frame, depth=np.zeros((240, 320), np.float32)) for frame in frames[:4]]
     assert "no matched keypoint has depth" in adjust(bare).reason
 
 
 @pytest.mark.slow
-def test_the_camera_found_is_of_the_size_of_the_images(frames):
-    some = jittered(frames[:8], 0.01, 0.5, zoom=1.05)
+def test_the_estimated_camera_has_the_size_of_the_images(frames):
+    some = disturb_frames(frames[:8], 0.01, 0.5, zoom=1.05)
     large = [replace(one, color=cv2.resize(read_color(one), (1280, 960))) for one in some]
     found = adjust(large, camera=True)
     camera = found.frames[0].color_camera
@@ -262,8 +269,8 @@ def test_the_camera_found_is_of_the_size_of_the_images(frames):
 
 
 @pytest.mark.slow
-def test_colour_of_another_scene_is_told_with_numbers(frames):
-    # What each frame shows is what another one, elsewhere, should.
+def test_colour_of_another_scene_is_reported_with_errors(frames):
+    # Each frame gets the image of a frame from elsewhere.
     other = [replace(a, color=b.color) for a, b in zip(frames, reversed(frames), strict=True)]
     found = adjust(other)
     assert not found.accepted
@@ -271,7 +278,7 @@ def test_colour_of_another_scene_is_told_with_numbers(frames):
 
 
 @pytest.mark.slow
-def test_poses_of_another_frame_are_told_with_numbers(half):
+def test_inverted_poses_are_reported_with_errors(half):
     other = [replace(one, world_from_camera=np.linalg.inv(one.world_from_camera)) for one in half]
     found = adjust(other)
     assert not found.accepted
@@ -281,13 +288,13 @@ def test_poses_of_another_frame_are_told_with_numbers(half):
     assert list(map(id, found.frames)) == list(map(id, other))
 
 
-def test_too_few_frames_are_left_alone(frames):
+def test_too_few_frames_are_returned_unchanged(frames):
     found = adjust([replace(frame, world_from_camera=None) for frame in frames])
     assert found.reason == "left as given: fewer than two frames have colour, depth and a pose"
     assert found.to_dict()["transfer_before"] is None
 
 
-def test_key_frames_are_spread_over_the_way():
+def test_keyframes_are_spread_over_the_trajectory():
     poses = np.tile(np.eye(4), (100, 1, 1))
     poses[:, 0, 3] = np.concatenate([np.linspace(0, 0.01, 50), np.linspace(0.02, 1, 50)])
     chosen = select_key_frames(poses, 20)

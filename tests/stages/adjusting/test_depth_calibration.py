@@ -1,4 +1,4 @@
-"""A known bend of depth is recovered with the poses; clean depth is left as given."""
+"""A known depth distortion is recovered together with the poses; exact depth is kept."""
 
 from __future__ import annotations
 
@@ -35,13 +35,13 @@ def make_correction(values: Sequence[float] | None = None) -> DepthCorrection:
 
 
 def bend(columns: np.ndarray, rows: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    """Return a relative error of depth, about ±1 %, with mean 0."""
+    """Compute a relative depth error of about ±1 % with mean 0."""
     x, y = 2 * columns / size[0] - 1, 2 * rows / size[1] - 1
     return 0.012 * (x**2 - 1 / 3) + 0.012 * (y**2 - 1 / 3) + 0.006 * x - 0.004 * x * y
 
 
 def disturb(frames: Sequence[Frame], *, scale: float = 1.0, bent: bool = True) -> list[Frame]:
-    """Return frames with inexact poses and, if `bent`, wrong depth; depth is also scaled."""
+    """Make frames with inexact poses and scaled depth, which is also distorted if `bent`."""
     rng, result = np.random.default_rng(1), []
     steps = np.array([0.004] * 3 + [np.radians(0.3)] * 3)
     for frame in frames:
@@ -62,7 +62,7 @@ def frames() -> Sequence[Frame]:
 def measure_error(
     given: Sequence[Frame], truth: Sequence[Frame], correction: DepthCorrection | None
 ) -> float:
-    """Return the standard deviation of relative depth errors, percent."""
+    """Compute the standard deviation of relative depth errors in percent."""
     errors = []
     for one, other in zip(given, truth, strict=True):
         depth, true = read_depth(replace(one, depth_correction=correction)), read_depth(other)
@@ -72,7 +72,7 @@ def measure_error(
     return float(100 * (together / together.mean()).std())
 
 
-def test_a_map_is_corrected_as_its_pixels_are():
+def test_correcting_a_map_equals_correcting_its_pixels():
     correction = make_correction()
     rows, columns = np.mgrid[:240, :320]
     depth = np.random.default_rng(1).uniform(0.3, 3, (240, 320)).astype(np.float32)
@@ -103,7 +103,7 @@ def test_frames_are_read_with_their_correction(frames):
 
 
 @pytest.mark.slow
-def test_the_gradient_by_depth_coefficients_is_that_of_the_cost():
+def test_the_gradient_by_depth_coefficients_equals_finite_differences():
     scene, rng = make_bundle_problem(), np.random.default_rng(2)
     neutral = create_neutral_correction(scene.views)
     assert neutral is not None
@@ -140,7 +140,7 @@ def test_the_gradient_by_depth_coefficients_is_that_of_the_cost():
 
 
 @pytest.mark.slow
-def test_a_bend_of_depth_is_recovered(frames):
+def test_a_depth_distortion_is_recovered(frames):
     wrong = disturb(frames)
     found = adjust(wrong)
     assert found.accepted, found.reason
@@ -156,7 +156,7 @@ def test_a_bend_of_depth_is_recovered(frames):
 
 
 @pytest.mark.slow
-def test_clean_depth_is_left_as_given(frames):
+def test_exact_depth_is_kept(frames):
     found = adjust(disturb(frames, bent=False))
     assert found.accepted, found.reason
     assert found.depth_correction is None
@@ -165,7 +165,7 @@ def test_clean_depth_is_left_as_given(frames):
 
 
 @pytest.mark.slow
-def test_only_poses_that_are_metric_fix_the_scale(frames):
+def test_only_metric_poses_fix_the_scale(frames):
     wrong = disturb(frames, scale=1.015)
     factors = []
     for is_metric in (True, False):
@@ -180,7 +180,7 @@ def test_only_poses_that_are_metric_fix_the_scale(frames):
 
 
 @pytest.mark.slow
-def test_depth_stays_if_asked_or_corrected_already(frames):
+def test_depth_is_kept_on_request_or_if_already_corrected(frames):
     wrong = disturb(frames[::2])
     assert adjust(wrong, depth=False).depth_correction is None
     stored = make_correction(np.zeros(COEFFICIENT_COUNT))
@@ -193,7 +193,7 @@ def test_depth_stays_if_asked_or_corrected_already(frames):
 @pytest.mark.parametrize(
     ("scale", "noise", "expected"), [(1.02, 0.002, 1.02), (1.0, 0.002, None), (1.3, 0, None)]
 )
-def test_the_scale_of_poses_is_only_used_if_it_is_clear(scale, noise, expected):
+def test_the_scale_of_poses_is_only_used_if_significant(scale, noise, expected):
     rng = np.random.default_rng(4)
     fitted = rng.normal(size=(60, 3))
     found = estimate_pose_scale(scale * fitted + noise * rng.normal(size=fitted.shape), fitted)
@@ -207,7 +207,7 @@ def test_drifting_poses_do_not_fix_the_scale():
     assert estimate_pose_scale(fitted + drift, fitted) is None
 
 
-def test_coefficients_are_those_of_the_position_then_of_the_range():
+def test_coefficients_are_ordered_by_position_then_range():
     values = np.zeros(COEFFICIENT_COUNT)
     values[POSITION_COUNT] = 0.01
     correction = make_correction(values)

@@ -1,4 +1,4 @@
-"""Photos that lie beside depth are found by outlines, to a third of a pixel; others are not moved."""
+"""Silhouettes reveal an offset between photos and depth to a third of a pixel; other photos are not moved."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ def frames() -> Sequence[Frame]:
     return read_scan(SAMPLE).frames
 
 
-def moved(frames: Sequence[Frame], right: float, down: float) -> list[Frame]:
-    """Return frames whose photos lie so many pixels beside depth."""
+def shift_photos(frames: Sequence[Frame], right: float, down: float) -> list[Frame]:
+    """Shift the photos of frames against depth by a number of pixels."""
     step = np.float32([[1, 0, right], [0, 1, down]])
     return [
         replace(one, color=cv2.warpAffine(read_color(one), step, (320, 240), borderMode=cv2.BORDER_REPLICATE))
@@ -39,41 +39,41 @@ def moved(frames: Sequence[Frame], right: float, down: float) -> list[Frame]:
     ]
 
 
-def offset_of(frames: Sequence[Frame]) -> PhotoOffset | None:
+def estimate_offset(frames: Sequence[Frame]) -> PhotoOffset | None:
     seen = observe_silhouettes(frames, range(len(frames)))
     return estimate_photo_offset(seen, get_color_camera(frames[0]), get_color_from_depth(frames[0]))
 
 
-def test_photos_that_are_registered_are_not_off(frames):
-    found = offset_of(frames)
+def test_registered_photos_have_no_offset(frames):
+    found = estimate_offset(frames)
     assert np.hypot(*found.shift_px) < 0.3
     assert not found.is_clear
 
 
 @pytest.mark.parametrize("shift", [(3.0, 0.0), (-2.4, 5.7), (0.0, -2.5), (6.3, 6.3), (-8.2, 0.6)])
 def test_a_shift_of_all_photos_is_found(frames, shift):
-    found = offset_of(moved(frames[::2], *shift))
+    found = estimate_offset(shift_photos(frames[::2], *shift))
     assert found.shift_px == pytest.approx(shift, abs=0.35)
     assert found.is_clear
 
 
-def test_a_camera_that_stands_where_photos_are_is_not_off(frames):
+def test_a_camera_model_that_fits_the_photos_has_no_offset(frames):
     camera = replace(frames[0].camera, cx=frames[0].camera.cx + 4, cy=frames[0].camera.cy - 3)
-    stated = [replace(one, color_camera=camera) for one in moved(frames[::2], 4, -3)]
-    found = offset_of(stated)
+    stated = [replace(one, color_camera=camera) for one in shift_photos(frames[::2], 4, -3)]
+    found = estimate_offset(stated)
     assert np.hypot(*found.shift_px) < 0.3
     assert not found.is_clear
 
 
-def test_a_camera_that_stands_beside_the_depth_camera_is_found_by_near_and_far(frames):
-    """It is said to stand 30 mm aside, and does not: near things are off by more."""
+def test_a_wrong_translation_is_found_from_near_and_far_objects(frames):
+    """The stated offset is 30 mm, the true one is 0: the error in pixels is larger for near objects."""
     apart = np.eye(4)
     apart[:2, 3] = 0.030, -0.006
     stated = [
         replace(one, color_camera=replace(one.camera, cx=one.camera.cx - 8), color_from_depth=apart)
         for one in frames
     ]
-    found = offset_of(stated)
+    found = estimate_offset(stated)
     assert found.is_clear
     assert 1000 * found.translation_m == pytest.approx((-30, 6), abs=3)
     assert found.near_shift_px[0] < -1
@@ -81,61 +81,63 @@ def test_a_camera_that_stands_beside_the_depth_camera_is_found_by_near_and_far(f
     assert (camera.cx, found.principal_point_shift_px[1]) == pytest.approx((frames[0].camera.cx, 0), abs=1.5)
 
 
-def test_pixels_are_those_of_the_photos_as_stored(frames):
+def test_the_offset_is_in_pixels_of_the_stored_photos(frames):
     large = [
         replace(one, color=cv2.resize(one.color, (1280, 960), interpolation=cv2.INTER_CUBIC))
-        for one in moved(frames[::2], 2, -3)
+        for one in shift_photos(frames[::2], 2, -3)
     ]
-    assert offset_of(large).shift_px == pytest.approx((8, -12), abs=1.4)
+    assert estimate_offset(large).shift_px == pytest.approx((8, -12), abs=1.4)
 
 
-def test_things_that_are_too_wide_in_depth_are_no_shift(frames):
-    """What is matched by windows is wider, on all sides."""
+def test_objects_that_are_too_wide_in_depth_give_no_shift(frames):
+    """Window matching makes objects wider on all sides."""
     wider = []
     for one in frames[::2]:
         depth = read_depth(one)
         near = cv2.erode(np.where(depth > 0, depth, np.float32(99)), np.ones((5, 5), np.uint8))
         wider.append(replace(one, depth=np.where(near < 99, near, 0).astype(np.float32)))
-    found = offset_of(wider)
+    found = estimate_offset(wider)
     assert found.thinning_px == pytest.approx(-2, abs=0.5)
     assert np.hypot(*found.shift_px) < 0.5
     assert not found.is_clear
 
 
-def test_photos_that_are_shifted_each_in_its_own_way_are_not_clear(frames):
+def test_photos_with_different_shifts_are_not_clear(frames):
     both = [
-        one for pair in zip(moved(frames[::2], 5, 0), moved(frames[1::2], -5, 0), strict=True) for one in pair
+        one
+        for pair in zip(shift_photos(frames[::2], 5, 0), shift_photos(frames[1::2], -5, 0), strict=True)
+        for one in pair
     ]
-    assert not offset_of(both).is_clear
+    assert not estimate_offset(both).is_clear
 
 
-def test_photos_of_something_else_are_not_clear(frames):
+def test_photos_of_another_scene_are_not_clear(frames):
     photos = [read_color(one)[::-1, ::-1].copy() for one in frames]
-    found = offset_of([replace(one, color=photo) for one, photo in zip(frames, photos, strict=True)])
+    found = estimate_offset([replace(one, color=photo) for one, photo in zip(frames, photos, strict=True)])
     assert found is None or not found.is_clear
 
 
 @pytest.mark.parametrize("color", [0, 127])
 def test_plain_photos_are_not_clear(frames, color):
     plain = np.full((240, 320, 3), color, np.uint8)
-    assert not offset_of([replace(one, color=plain) for one in frames[::4]]).is_clear
+    assert not estimate_offset([replace(one, color=plain) for one in frames[::4]]).is_clear
 
 
-def test_too_little_says_nothing(frames):
-    assert offset_of(frames[:1]) is None
+def test_too_few_silhouettes_give_no_estimate(frames):
+    assert estimate_offset(frames[:1]) is None
     flat = np.ones((240, 320), np.float32)
-    assert offset_of([replace(one, depth=flat) for one in frames[::6]]) is None
+    assert estimate_offset([replace(one, depth=flat) for one in frames[::6]]) is None
     assert observe_silhouettes([replace(one, depth=Path("none.png")) for one in frames[:3]], range(3)) == []
 
 
-def test_photos_of_several_sizes_say_nothing(frames):
+def test_photos_of_several_sizes_give_no_estimate(frames):
     small = [replace(one, color=cv2.resize(read_color(one), (160, 120))) for one in frames[:2]]
     assert observe_silhouettes([*frames[:2], *small], range(4)) == []
 
 
-def test_the_colour_camera_is_moved_and_poses_that_fit_stay(frames):
+def test_the_colour_camera_is_moved_and_fitting_poses_are_kept(frames):
     frames = frames[::2]
-    found = adjust(moved(frames, 3.5, -2.5))
+    found = adjust(shift_photos(frames, 3.5, -2.5))
     assert found.accepted
     assert found.is_camera_adjusted
     assert not found.adjusted_indices
@@ -151,23 +153,23 @@ def test_the_colour_camera_is_moved_and_poses_that_fit_stay(frames):
     )
 
 
-def test_a_camera_that_is_to_stay_stays(frames):
-    found = adjust(moved(frames[::3], 3.5, -2.5), camera=False)
+def test_a_fixed_camera_is_unchanged(frames):
+    found = adjust(shift_photos(frames[::3], 3.5, -2.5), camera=False)
     assert not found.is_camera_adjusted
     assert found.offset_before is None
     assert all(one.color_camera is None for one in found.frames)
 
 
-def test_inspecting_tells_it(frames):
+def test_inspect_reports_the_offset(frames):
     scan = read_scan(SAMPLE)
-    found = inspect(replace(scan, frames=moved(frames, 5, 0)))
+    found = inspect(replace(scan, frames=shift_photos(frames, 5, 0)))
     (said,) = (str(one) for one in found.diagnostics if one.code == CAMERA_COLOR_UNREGISTERED.name)
     assert "5.0 px to the right" in said
     assert not any(one.code == CAMERA_COLOR_UNREGISTERED.name for one in inspect(scan).diagnostics)
 
 
-def test_a_real_colour_camera_beside_its_depth_camera(shared_data):
-    """A tabletop of the RealSense: depth lies left of the photos, as a picture of both shows."""
+def test_the_offset_of_a_real_colour_camera_is_found(shared_data):
+    """A RealSense scan of a tabletop: overlays show depth to the left of the photos."""
     scan = read_scan(shared_data / "rgbd" / "tabletop_box_realsense")
     found = adjust(scan)
     assert found.is_camera_adjusted

@@ -1,4 +1,4 @@
-"""Outlines are where the near side of a jump ends, and point away from it."""
+"""Silhouettes are on the near side of depth discontinuities, and their normals point outward."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ def box_before_wall() -> np.ndarray:
     return depth
 
 
-def sides(depth: np.ndarray) -> dict[str, np.ndarray]:
-    """Return the points of each side, by where they point."""
+def detect_sides(depth: np.ndarray) -> dict[str, np.ndarray]:
+    """Group silhouette points by the direction of their normals."""
     found = detect_silhouettes(depth)
     across, down = found.normals.T
     return {
@@ -30,7 +30,7 @@ def sides(depth: np.ndarray) -> dict[str, np.ndarray]:
 
 
 def test_each_side_of_a_box_is_between_its_last_pixel_and_the_wall(box_before_wall):
-    found = sides(box_before_wall)
+    found = detect_sides(box_before_wall)
     assert all(len(points) > 40 for points in found.values())
     assert found["left"][:, 0] == pytest.approx(LEFT - 0.5, abs=0.03)
     assert found["right"][:, 0] == pytest.approx(RIGHT + 0.5, abs=0.03)
@@ -44,44 +44,44 @@ def test_directions_have_length_one(box_before_wall):
     assert np.linalg.norm(detect_silhouettes(box_before_wall).normals, axis=1) == pytest.approx(1, abs=1e-5)
 
 
-def test_a_lattice_of_gaps_changes_nothing(box_before_wall):
-    """Depth that was brought to another camera is full of them."""
+def test_a_lattice_of_gaps_does_not_move_silhouettes(box_before_wall):
+    """Depth that was warped to another camera has many such gaps."""
     gaps = box_before_wall.copy()
     gaps[::4], gaps[:, ::4] = 0, 0
-    whole, torn = sides(box_before_wall), sides(gaps)
+    whole, torn = detect_sides(box_before_wall), detect_sides(gaps)
     for side, points in whole.items():
         axis = 0 if side in ("left", "right") else 1
         assert np.median(torn[side][:, axis]) == pytest.approx(np.median(points[:, axis]), abs=1.0)
 
 
-def test_what_is_not_measured_beside_a_thing_belongs_to_what_is_behind_it(box_before_wall):
-    """A sensor that sees from two places has a shadow on one side of each thing."""
+def test_missing_depth_next_to_an_object_counts_as_background(box_before_wall):
+    """Depth from two viewpoints has an occlusion shadow on one side of each object."""
     shadow = box_before_wall.copy()
     shadow[TOP - 3 : BOTTOM + 4, LEFT - 10 : LEFT] = 0
-    assert sides(shadow)["left"][:, 0] == pytest.approx(LEFT - 0.5, abs=0.03)
+    assert detect_sides(shadow)["left"][:, 0] == pytest.approx(LEFT - 0.5, abs=0.03)
 
 
-def test_a_thing_with_nothing_measured_behind_it_has_none(box_before_wall):
+def test_an_object_without_measured_background_has_no_silhouette(box_before_wall):
     box_before_wall[box_before_wall > 1.5] = 0
     assert not len(detect_silhouettes(box_before_wall).depths)
 
 
 @pytest.mark.parametrize("depth", [0.0, 1.0])
-def test_what_does_not_jump_has_none(depth):
+def test_constant_depth_has_no_silhouette(depth):
     assert not len(detect_silhouettes(np.full((50, 60), depth, np.float32)).depths)
 
 
-def test_a_slope_has_none():
+def test_a_slope_has_no_silhouette():
     rows = np.arange(100, dtype=np.float32)[:, None]
     assert not len(detect_silhouettes(1 + 0.01 * rows + np.zeros((1, 80), np.float32)).depths)
 
 
-def test_noise_has_next_to_none():
+def test_noise_has_hardly_any_silhouettes():
     depth = np.random.default_rng(0).uniform(1, 3, (120, 160)).astype(np.float32)
     assert len(detect_silhouettes(depth).depths) < 0.002 * depth.size
 
 
-def test_depth_with_holes_of_all_kinds_is_taken(box_before_wall):
+def test_depth_with_any_holes_is_accepted(box_before_wall):
     rng = np.random.default_rng(1)
     for share in (0.1, 0.5, 0.9, 0.999):
         holed = np.where(rng.random(box_before_wall.shape) < share, 0, box_before_wall).astype(np.float32)

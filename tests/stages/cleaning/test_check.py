@@ -1,4 +1,4 @@
-"""Irregular places: each class planted in a sound mesh is found, named and located, and nothing else is."""
+"""Defects: each class planted in a sound mesh is found, named and located, and no other defects are."""
 
 from __future__ import annotations
 
@@ -15,20 +15,20 @@ from scanloom.stages.surface.mesh_files import read_mesh
 from tests.made.coloured_meshes import ball, sheet
 
 
-def planted(mesh: Mesh, vertices: list[list[float]], triangles: list[list[int]]) -> Mesh:
-    """Return a mesh with more vertices, numbered from its own count on, and more triangles."""
+def add_triangles(mesh: Mesh, vertices: list[list[float]], triangles: list[list[int]]) -> Mesh:
+    """Add vertices, numbered after the existing ones, and triangles."""
     return Mesh(
         np.concatenate((mesh.vertices, np.array(vertices, float).reshape(-1, 3))),
         np.concatenate((mesh.triangles, np.array(triangles, np.int32).reshape(-1, 3))),
     )
 
 
-def counts(found: stages.CheckResult) -> dict[str, int]:
-    """Return the classes that have any places, and how many."""
+def count_defects(found: stages.CheckResult) -> dict[str, int]:
+    """Count defects by class, without empty classes."""
     return {name: len(places) for name, places in found.defects.items() if len(places)}
 
 
-def soup(seed: int, count: int, size: float) -> Mesh:
+def make_soup(seed: int, count: int, size: float) -> Mesh:
     random = np.random.default_rng(seed)
     middles = random.uniform(size=(count, 1, 3))
     corners = (middles + size * random.uniform(-1, 1, size=(count, 3, 3))).reshape(-1, 3)
@@ -38,37 +38,37 @@ def soup(seed: int, count: int, size: float) -> Mesh:
 # -- sound meshes ----------------------------------------------------------------------------------------
 
 
-def test_a_ball_is_watertight_and_nothing_is_found() -> None:
+def test_a_sphere_is_watertight_and_has_no_defects() -> None:
     found = check(ball(), min_thickness=0.1)
-    assert counts(found) == {}
+    assert count_defects(found) == {}
     assert found.is_watertight
     assert found.find_unmet(REQUIREMENTS) == []
     np.testing.assert_allclose(found.thickness, 2 * np.linalg.norm(ball().vertices, axis=1).max(), rtol=0.1)
 
 
-def test_of_a_sheet_only_its_border_is_told() -> None:
+def test_a_sheet_only_has_border_edges() -> None:
     found = check(sheet(10))
-    assert counts(found) == {"border_edges": 40}
+    assert count_defects(found) == {"border_edges": 40}
     assert not found.is_watertight
     assert np.isnan(found.thickness).all()
     (sentence,) = map(str, found.find_unmet(["watertight"]))
     assert "edges with only one triangle: 40" in sentence
 
 
-# -- each class, planted ---------------------------------------------------------------------------------
+# -- each planted class ----------------------------------------------------------------------------------
 
 
 def test_an_edge_of_three_triangles() -> None:
     mesh = ball()
     a, b, _ = mesh.triangles[0]
-    found = check(planted(mesh, [[3, 3, 3]], [[a, b, len(mesh.vertices)]]))
+    found = check(add_triangles(mesh, [[3, 3, 3]], [[a, b, len(mesh.vertices)]]))
     assert found.defects["nonmanifold_edges"].tolist() == [sorted((int(a), int(b)))]
     assert (
         len(found.find_unmet(["manifold", "closed", "watertight", "outward", "one-piece", "oriented"])) == 4
     )
 
 
-def test_a_triangle_that_is_turned() -> None:
+def test_a_flipped_triangle() -> None:
     mesh = ball()
     turned = mesh.triangles.copy()
     turned[7] = turned[7, ::-1]
@@ -85,16 +85,16 @@ def test_two_balls_that_share_a_vertex() -> None:
     other = mesh.vertices * [1, 1, -1] + [0, 0, 2 * mesh.vertices[top, 2]]
     number = np.arange(len(other)) + len(mesh.vertices)
     number[top] = top
-    found = check(planted(mesh, other.tolist(), number[mesh.triangles[:, ::-1]].tolist()))
-    assert counts(found) == {"singular_vertices": 1}
+    found = check(add_triangles(mesh, other.tolist(), number[mesh.triangles[:, ::-1]].tolist()))
+    assert count_defects(found) == {"singular_vertices": 1}
     assert found.defects["singular_vertices"].tolist() == [top]
     np.testing.assert_array_equal(found.defect_points["singular_vertices"], mesh.vertices[[top]])
 
 
-def test_triangles_that_share_nothing_but_a_vertex() -> None:
+def test_triangles_that_share_only_a_vertex() -> None:
     vertices = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [-1, 0, 0], [-1, -1, 0.0]])
     found = check((vertices, np.array([[0, 1, 2], [0, 3, 4]])))
-    assert counts(found) == {
+    assert count_defects(found) == {
         "border_edges": 6,
         "singular_vertices": 1,
         "focal_vertices": 1,
@@ -105,23 +105,23 @@ def test_triangles_that_share_nothing_but_a_vertex() -> None:
 def test_degenerate_and_duplicate_triangles() -> None:
     mesh, count = ball(), len(ball().triangles)
     first = mesh.triangles[0].tolist()
-    found = check(planted(mesh, [], [[first[0], first[0], first[1]], first]))
+    found = check(add_triangles(mesh, [], [[first[0], first[0], first[1]], first]))
     assert found.defects["degenerate_triangles"].tolist() == [count]
     assert found.defects["duplicate_triangles"].tolist() == [count + 1]
     assert len(found.defects["intersecting_triangles"]) == 0
 
 
-def test_caps_and_needles_have_the_fields_names() -> None:
+def test_caps_and_needles_are_distinguished() -> None:
     cap = np.array([[0, 0, 0], [1, 0, 0], [0.5, 0.001, 0]])
     needle = np.array([[0, 0, 0], [1, 0, 0], [1, 0.001, 0]])
     three = np.array([[0, 1, 2]])
-    assert counts(check((cap, three))) == {"border_edges": 3, "caps": 1}
-    assert counts(check((needle, three))) == {"border_edges": 3, "needles": 1}
-    # The paper's angle finds neither.
-    assert counts(check((cap, three), corner_angle=PAPER_CORNER_ANGLE)) == {"border_edges": 3}
+    assert count_defects(check((cap, three))) == {"border_edges": 3, "caps": 1}
+    assert count_defects(check((needle, three))) == {"border_edges": 3, "needles": 1}
+    # The angle of the paper finds neither.
+    assert count_defects(check((cap, three), corner_angle=PAPER_CORNER_ANGLE)) == {"border_edges": 3}
 
 
-def test_a_fold_and_what_lies_on_what_it_is_joined_to() -> None:
+def test_a_fold_and_an_overlapping_neighbour() -> None:
     vertices = np.array([[0, 0, 0], [1, 0, 0], [0.5, 1, 0], [0.5, 0.9, 0.0]])
     flat = np.array([[0, 1, 2], [1, 0, 3]])
     found = check((vertices, flat))
@@ -131,7 +131,7 @@ def test_a_fold_and_what_lies_on_what_it_is_joined_to() -> None:
     opened = check((vertices, flat))
     assert opened.defects["sharp_edges"].tolist() == [[0, 1]]
     assert len(opened.defects["intersecting_triangles"]) == 0
-    assert counts(check((vertices, flat), fold_angle=5)) == {"border_edges": 4}
+    assert count_defects(check((vertices, flat), fold_angle=5)) == {"border_edges": 4}
 
 
 def test_a_vertex_pulled_out_is_a_spike() -> None:
@@ -140,12 +140,12 @@ def test_a_vertex_pulled_out_is_a_spike() -> None:
     pulled[5] *= 3
     found = check((pulled, mesh.triangles))
     assert found.defects["spikes"].tolist() == [5]
-    assert "spikes" not in counts(check((pulled, mesh.triangles), spike_angle=1))
+    assert "spikes" not in count_defects(check((pulled, mesh.triangles), spike_angle=1))
 
 
-def test_a_ball_that_looks_inwards() -> None:
+def test_an_inverted_sphere() -> None:
     mesh = ball()
-    both = planted(
+    both = add_triangles(
         mesh, (mesh.vertices + 10).tolist(), (mesh.triangles[:, ::-1] + len(mesh.vertices)).tolist()
     )
     found = check(both)
@@ -157,7 +157,7 @@ def test_a_ball_that_looks_inwards() -> None:
     ]
 
 
-def test_a_plate_is_as_thin_as_it_is() -> None:
+def test_the_thickness_of_a_plate_is_measured() -> None:
     trimesh = pytest.importorskip("trimesh")
     found = check(trimesh.creation.box((1, 1, 0.01)), min_thickness=0.02)
     assert np.sort(found.thickness) == pytest.approx([0.01] * 4 + [1.0] * 8, rel=1e-3)
@@ -166,12 +166,12 @@ def test_a_plate_is_as_thin_as_it_is() -> None:
     assert "thinner than min_thickness: 4" in str(found.find_unmet(["no-thin-triangles"])[0])
 
 
-def test_copies_along_a_seam_are_one_vertex() -> None:
+def test_duplicated_seam_vertices_count_as_one() -> None:
     mesh = ball()
     apart = Mesh(mesh.vertices[mesh.triangles].reshape(-1, 3), np.arange(mesh.triangles.size).reshape(-1, 3))
     found = check(apart)
     assert found.is_watertight
-    assert counts(found) == {}
+    assert count_defects(found) == {}
     assert found.topology.vertices == len(mesh.vertices)
 
 
@@ -188,7 +188,7 @@ TOUCHING = {
     "crossing it in its plane": ([-1, 1, 0], [6, 1, 0], [-1, 1.5, 0]),
 }
 APART = {
-    # Vertices in one place are one vertex, which both may share.
+    # Coincident vertices are one vertex, which both triangles may share.
     "joined at a corner": ([0, 0, 0], [-1, 0, 1], [0, -1, 1]),
     "above": ([1, 1, 1e-300], [1, 2, 1], [2, 1, 1]),
     "beside": ([2, 2 + 1e-15, 0], [5, 2, 0], [2, 5, 0]),
@@ -199,17 +199,17 @@ APART = {
 
 @pytest.mark.parametrize("where", TOUCHING)
 @pytest.mark.parametrize("turn", range(3))
-def test_what_touches_intersects(where: str, turn: int) -> None:
-    assert _two(TOUCHING[where], turn) == [0, 1]
+def test_touching_triangles_intersect(where: str, turn: int) -> None:
+    assert _find_intersections(TOUCHING[where], turn) == [0, 1]
 
 
 @pytest.mark.parametrize("where", APART)
 @pytest.mark.parametrize("turn", range(3))
-def test_what_is_apart_does_not_however_near(where: str, turn: int) -> None:
-    assert _two(APART[where], turn) == []
+def test_separate_triangles_do_not_intersect_even_if_close(where: str, turn: int) -> None:
+    assert _find_intersections(APART[where], turn) == []
 
 
-def _two(other: tuple[list[float], ...], turn: int) -> list[int]:
+def _find_intersections(other: tuple[list[float], ...], turn: int) -> list[int]:
     vertices = np.roll(np.array([*PLATE, *np.roll(other, turn, axis=0)], float), turn, axis=1)
     found = check((vertices, np.array([[0, 1, 2], [3, 4, 5]])))
     return list(found.defects["intersecting_triangles"])
@@ -217,32 +217,32 @@ def _two(other: tuple[list[float], ...], turn: int) -> list[int]:
 
 @given(st.integers(0, 10**6), st.integers(2, 60), st.sampled_from([0.03, 0.1, 0.4]))
 @settings(deadline=None, max_examples=60)
-def test_as_open3d_finds_them_in_soups(seed: int, count: int, size: float) -> None:
-    mesh = soup(seed, count, size)
+def test_intersections_in_soups_agree_with_open3d(seed: int, count: int, size: float) -> None:
+    mesh = make_soup(seed, count, size)
     pairs = np.asarray(to_open3d_legacy(mesh).get_self_intersecting_triangles())
     assert check(mesh).defects["intersecting_triangles"].tolist() == sorted(set(pairs.reshape(-1).tolist()))
 
 
-def test_two_balls_that_cross_meet_along_a_ring() -> None:
+def test_two_spheres_intersect_along_a_ring() -> None:
     mesh, count = ball(), len(ball().triangles)
     moved = mesh.vertices + np.array([0.7, 0.01, 0.02])
-    both = planted(mesh, moved.tolist(), (mesh.triangles + len(mesh.vertices)).tolist())
+    both = add_triangles(mesh, moved.tolist(), (mesh.triangles + len(mesh.vertices)).tolist())
     found = check(both).defects["intersecting_triangles"]
     assert 0 < np.count_nonzero(found < count) < count / 4
     assert 0 < np.count_nonzero(found >= count) < count / 4
 
 
-def test_any_number_of_threads_finds_the_same() -> None:
-    mesh = soup(3, 3000, 0.05)
+def test_results_do_not_depend_on_the_number_of_threads() -> None:
+    mesh = make_soup(3, 3000, 0.05)
     one, three = (check(mesh, threads=threads) for threads in (1, 3))
     for name in CLASSES:
         np.testing.assert_array_equal(one.defects[name], three.defects[name])
 
 
-# -- words, and bad input --------------------------------------------------------------------------------
+# -- metrics and invalid input ---------------------------------------------------------------------------
 
 
-def test_metrics_name_all_classes_and_their_first_places() -> None:
+def test_metrics_list_all_classes_with_their_first_positions() -> None:
     metrics = check(sheet(4)).to_dict()
     assert set(metrics["classes"]) == set(CLASSES)
     border = metrics["classes"]["border_edges"]
@@ -253,7 +253,7 @@ def test_metrics_name_all_classes_and_their_first_places() -> None:
 
 def test_an_empty_mesh_is_not_closed() -> None:
     found = check((np.empty((0, 3)), np.empty((0, 3), np.int32)))
-    assert counts(found) == {}
+    assert count_defects(found) == {}
     assert [str(one) for one in found.find_unmet(["closed", "one-piece"])] == [
         "it has no surface.",
         "it has 0 connected components.",
@@ -267,7 +267,7 @@ def test_an_unknown_requirement_is_refused() -> None:
         check(ball()).find_unmet(["waterproof"])
 
 
-def test_nothing_is_promised_of_walls_without_a_limit() -> None:
+def test_the_wall_requirement_needs_a_limit() -> None:
     with pytest.raises(UsageError, match="no-thin-triangles needs min_thickness"):
         check(ball()).find_unmet(["no-thin-triangles"])
 
@@ -283,6 +283,6 @@ def test_nothing_is_promised_of_walls_without_a_limit() -> None:
 def test_real_meshes(shared_data: Path, name: str, wanted: dict[str, int]) -> None:
     found = check(read_mesh(shared_data / "meshes" / name))
     topology = stages.topology(read_mesh(shared_data / "meshes" / name))
-    assert counts(found).items() >= wanted.items()
+    assert count_defects(found).items() >= wanted.items()
     assert len(found.defects["border_edges"]) == topology.boundary_edges
     assert len(found.defects["singular_vertices"]) == topology.nonmanifold_vertices

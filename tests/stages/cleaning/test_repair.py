@@ -1,4 +1,7 @@
-"""Repairs: each defect planted is found, repaired or told, all else keeps its bits, and the bound holds."""
+"""Repairs:
+
+each planted defect is found and repaired or reported, other data is bit-identical, the bound holds.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +22,8 @@ from scanloom.stages.surface.texture import Image, Material, Texture
 from tests.made.coloured_meshes import MESHES, ball, sheet
 
 PLANTS = ("cap", "needle", "fold", "flat", "repeating", "duplicate")
-# What a plant is found as; a fold's triangle lies on what it is joined to, and may be called that, too.
+# Defect class of each planted defect. The triangle of a fold overlaps its neighbour, so it may also count as
+# that class.
 CLASS_OF = {
     "cap": "caps",
     "needle": "needles",
@@ -30,12 +34,12 @@ CLASS_OF = {
 }
 
 
-def plain() -> Mesh:
+def make_plain_sheet() -> Mesh:
     return sheet(12, noise=0, height=0)
 
 
-def with_triangle_split(mesh: Mesh, row: int, weights: tuple[float, float, float]) -> Mesh:
-    """Return a mesh with one triangle split at a new vertex, of these weights, which may lie outside it."""
+def split_triangle(mesh: Mesh, row: int, weights: tuple[float, float, float]) -> Mesh:
+    """Split a triangle at a new vertex with barycentric weights, which may be outside the triangle."""
     a, b, c = mesh.triangles[row]
     new = len(mesh.vertices)
     share = np.array(weights)
@@ -60,17 +64,17 @@ def with_triangle_split(mesh: Mesh, row: int, weights: tuple[float, float, float
     return grown.with_triangles(np.concatenate((triangles, more)), source, uvs=uvs)
 
 
-def planted(mesh: Mesh, plant: str, row: int) -> Mesh:
+def plant_defect(mesh: Mesh, plant: str, row: int) -> Mesh:
     a, b, c = mesh.triangles[row].tolist()
     match plant:
         case "cap":
-            return with_triangle_split(mesh, row, (0.498, 0.498, 0.004))
+            return split_triangle(mesh, row, (0.498, 0.498, 0.004))
         case "needle":
-            return with_triangle_split(mesh, row, (0.99, 0.005, 0.005))
+            return split_triangle(mesh, row, (0.99, 0.005, 0.005))
         case "fold":
-            return with_triangle_split(mesh, row, (0.53, 0.53, -0.06))
+            return split_triangle(mesh, row, (0.53, 0.53, -0.06))
         case "flat":
-            return with_triangle_split(mesh, row, (0.5, 0.5, 0.0))
+            return split_triangle(mesh, row, (0.5, 0.5, 0.0))
         case "repeating":
             more = [[a, b, b]]
         case _:
@@ -79,27 +83,27 @@ def planted(mesh: Mesh, plant: str, row: int) -> Mesh:
     return mesh.with_triangles(np.concatenate((mesh.triangles, np.array(more, np.int32))), source)
 
 
-def textured(mesh: Mesh) -> Mesh:
-    """Return a mesh with x and y as texture coordinates."""
+def add_texture(mesh: Mesh) -> Mesh:
+    """Add a texture whose coordinates are x and y."""
     image = Image("map.png", given=np.zeros((4, 4, 3), np.uint8))
     uvs = np.ascontiguousarray(mesh.vertices[mesh.triangles][..., :2] + 2)
     ids = np.zeros(len(mesh.triangles), np.int32)
     return mesh.with_(texture=Texture(uvs, ids, (Material("map", image), Material("bare"))))
 
 
-def inner_row(mesh: Mesh) -> int:
-    """Return a triangle far from any border."""
+def find_inner_triangle(mesh: Mesh) -> int:
+    """Find a triangle far from any border."""
     middle = mesh.vertices[mesh.triangles].mean(axis=1)
     return int(np.linalg.norm(middle - mesh.vertices.mean(axis=0), axis=1).argmin())
 
 
-def counts(mesh: Mesh, **params: float) -> dict[str, int]:
+def count_defects(mesh: Mesh, **params: float) -> dict[str, int]:
     found = check(mesh, **params)
     return {name: len(places) for name, places in found.defects.items() if len(places)}
 
 
-def left(done: RepairResult) -> dict[str, int]:
-    """Return the classes of which something is left, and how much; borders have to be."""
+def count_remaining(done: RepairResult) -> dict[str, int]:
+    """Count remaining defects by class, except borders, which are never repaired."""
     return {
         name: len(places)
         for name, places in done.remaining_defects.items()
@@ -107,8 +111,8 @@ def left(done: RepairResult) -> dict[str, int]:
     }
 
 
-def assert_nothing_else_is_touched(mesh: Mesh, done: RepairResult, around: NDArray[np.integer]) -> None:
-    """Every triangle that has none of these vertices, and all vertices but those moved, are as they were."""
+def assert_rest_is_unchanged(mesh: Mesh, done: RepairResult, around: NDArray[np.integer]) -> None:
+    """Check that triangles without vertices in `around`, and all unmoved vertices, are unchanged."""
     assert (np.diff(done.vertex_source) > 0).all()
     assert (np.diff(done.triangle_source) > 0).all()
     spiked = done.repaired_defects["spikes"]
@@ -129,10 +133,11 @@ def assert_nothing_else_is_touched(mesh: Mesh, done: RepairResult, around: NDArr
         np.testing.assert_array_equal(now.material_ids, was.material_ids)
 
 
-def assert_nothing_new(mesh: Mesh, done: RepairResult, **params: float) -> None:
-    """No class has a place that was not there; borders stay as they are."""
+def assert_no_new_defects(mesh: Mesh, done: RepairResult, **params: float) -> None:
+    """Check that no class has a new defect and that borders are unchanged."""
     before, now = check(mesh, **params), check(done.mesh, **params)
-    # Of vertices in one place the first stands for all, which may have gone with a triangle of no area.
+    # The first of several coincident vertices represents all of them; it may be removed with a degenerate
+    # triangle.
     _, first, of_place = np.unique(mesh.vertices, axis=0, return_index=True, return_inverse=True)
     named = first[of_place.reshape(-1)]
     for name, (kind, _, _) in CLASSES.items():
@@ -157,30 +162,30 @@ def assert_nothing_new(mesh: Mesh, done: RepairResult, **params: float) -> None:
             assert keys[0] == (set(map(tuple, left)) if kind == "edge" else set(left)), name
 
 
-def as_set(places: NDArray[np.integer]) -> set[tuple[int, ...]]:
+def to_set(places: NDArray[np.integer]) -> set[tuple[int, ...]]:
     return set(map(tuple, places.reshape(len(places), -1).tolist()))
 
 
-def points_on(mesh: Mesh, rows: NDArray[np.integer], each: int) -> NDArray[np.float64]:
-    """Return points spread over triangles, their corners and sides included."""
+def sample_points(mesh: Mesh, rows: NDArray[np.integer], each: int) -> NDArray[np.float64]:
+    """Sample points on triangles, including corners and edges."""
     random = np.random.default_rng(1)
     weights = random.dirichlet((0.7, 0.7, 0.7), each)
     weights = np.concatenate((weights, np.eye(3), (1 - np.eye(3)) / 2))
     return np.einsum("pk,tkx->tpx", weights, mesh.vertices[mesh.triangles[rows]]).reshape(-1, 3)
 
 
-def on_segments(
+def find_closest_on_segments(
     points: NDArray[np.float64], start: NDArray[np.float64], end: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Return of each segment the point nearest to a point."""
+    """Compute the closest point on each segment to a point."""
     along = end - start
     length = np.maximum(np.einsum("ij,ij->i", along, along), 1e-300)
     share = np.clip(np.einsum("ij,ij->i", points - start, along) / length, 0, 1)
     return np.asarray(start + share[:, None] * along)
 
 
-def farthest(points: NDArray[np.float64], mesh: Mesh) -> float:
-    """Return the greatest distance of points to a mesh, every triangle tried that may be the nearest one."""
+def measure_max_distance(points: NDArray[np.float64], mesh: Mesh) -> float:
+    """Compute the largest distance of points to a mesh by brute force over all candidate triangles."""
     from trimesh.triangles import closest_point
 
     corners = mesh.vertices[mesh.triangles]
@@ -190,14 +195,14 @@ def farthest(points: NDArray[np.float64], mesh: Mesh) -> float:
     may_be = apart - reach <= (apart + reach).min(axis=1, keepdims=True) + 1e-9
     which, triangle = np.nonzero(may_be)
     points, corners = points[which], corners[triangle]
-    # Where a triangle has no area, its sides are all there is of it.
+    # A triangle without area consists only of its edges.
     flat = (
         np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1) < 1e-12
     )
     off = np.full(len(points), np.inf)
     off[~flat] = np.linalg.norm(points[~flat] - closest_point(corners[~flat], points[~flat]), axis=1)
     for k in range(3):
-        near = on_segments(points[flat], corners[flat, k - 1], corners[flat, k])
+        near = find_closest_on_segments(points[flat], corners[flat, k - 1], corners[flat, k])
         off[flat] = np.minimum(off[flat], np.linalg.norm(points[flat] - near, axis=1))
     best = np.full(len(may_be), np.inf)
     np.minimum.at(best, which, off)
@@ -211,85 +216,86 @@ def assert_bound_holds(mesh: Mesh, done: RepairResult, each: int = 60) -> None:
     written = np.flatnonzero(~same | moved)
     old = np.setdiff1d(np.arange(len(mesh.triangles)), done.triangle_source[same & ~moved])
     off = max(
-        farthest(points_on(done.mesh, written, each), mesh), farthest(points_on(mesh, old, each), done.mesh)
+        measure_max_distance(sample_points(done.mesh, written, each), mesh),
+        measure_max_distance(sample_points(mesh, old, each), done.mesh),
     )
     assert off <= done.bound_m <= done.max_shape_m
 
 
-# -- each defect, planted --------------------------------------------------------------------------------
+# -- each planted defect ---------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("plant", PLANTS)
 @pytest.mark.parametrize("kind", ["sheet", "ball"])
 @pytest.mark.parametrize("is_textured", [False, True])
-def test_what_is_planted_is_repaired_and_nothing_else_is_touched(
+def test_planted_defects_are_repaired_and_the_rest_is_unchanged(
     plant: str, kind: str, is_textured: bool
 ) -> None:
-    sound = plain() if kind == "sheet" else ball()
+    sound = make_plain_sheet() if kind == "sheet" else ball()
     if is_textured:
-        sound = textured(sound)
-    row = inner_row(sound) if kind == "sheet" else 700
-    mesh = planted(sound, plant, row)
-    assert CLASS_OF[plant] in counts(mesh)
+        sound = add_texture(sound)
+    row = find_inner_triangle(sound) if kind == "sheet" else 700
+    mesh = plant_defect(sound, plant, row)
+    assert CLASS_OF[plant] in count_defects(mesh)
     done = repair(mesh)
     name = CLASS_OF[plant]
     assert len(done.found_defects[name]) == len(done.repaired_defects[name]) > 0
-    assert left(done) == {}
+    assert count_remaining(done) == {}
     assert done.diagnostics == ()
-    assert counts(done.mesh) == counts(sound)
+    assert count_defects(done.mesh) == count_defects(sound)
     assert 0 <= done.bound_m <= done.max_shape_m
     around = np.unique(np.append(mesh.triangles[row], len(sound.vertices)))
-    assert_nothing_else_is_touched(mesh, done, around)
-    assert_nothing_new(mesh, done)
+    assert_rest_is_unchanged(mesh, done, around)
+    assert_no_new_defects(mesh, done)
     assert_bound_holds(mesh, done)
     if is_textured:
         corners = done.mesh.vertices[done.mesh.triangles][..., :2] + 2
         np.testing.assert_allclose(done.mesh.texture.uvs, corners, atol=1e-12)
 
 
-def test_a_spike_is_smoothed_where_the_surface_may_move_that_far() -> None:
+def test_a_spike_is_smoothed_within_the_bound() -> None:
     mesh = ball()
     pulled = mesh.vertices.copy()
     pulled[300] *= 1.5
     mesh = mesh.with_(vertices=pulled, normals=pulled / np.linalg.norm(pulled, axis=1, keepdims=True))
     done = repair(mesh, max_shape=0.6)
     assert done.repaired_defects["spikes"].tolist() == [300]
-    assert counts(done.mesh) == {}
+    assert count_defects(done.mesh) == {}
     assert 0.4 < done.bound_m <= 0.6
     assert np.linalg.norm(done.mesh.vertices[300]) == pytest.approx(1, abs=0.02)
     assert done.mesh.normals[300] @ pulled[300] == pytest.approx(1.5, abs=0.05)
-    assert_nothing_else_is_touched(mesh, done, mesh.triangles[(mesh.triangles == 300).any(axis=1)])
+    assert_rest_is_unchanged(mesh, done, mesh.triangles[(mesh.triangles == 300).any(axis=1)])
     assert_bound_holds(mesh, done, 20)
 
 
-def test_a_cap_becomes_a_needle_and_that_is_collapsed() -> None:
-    # Its apex is beside an end of its longest side, and the vertex beyond that side is far away.
-    even = 2 * (inner_row(plain()) // 2)
-    mesh = with_triangle_split(plain(), even, (0.025, 0.9749, 0.0001))
-    assert set(counts(mesh)) == {"caps", "border_edges"}
+def test_a_cap_becomes_a_needle_which_is_collapsed() -> None:
+    # The apex is near one end of the longest edge, and the vertex across that edge is far away.
+    even = 2 * (find_inner_triangle(make_plain_sheet()) // 2)
+    mesh = split_triangle(make_plain_sheet(), even, (0.025, 0.9749, 0.0001))
+    assert set(count_defects(mesh)) == {"caps", "border_edges"}
     done = repair(mesh)
-    assert left(done) == {}
-    assert counts(done.mesh) == counts(plain())
+    assert count_remaining(done) == {}
+    assert count_defects(done.mesh) == count_defects(make_plain_sheet())
     assert len(done.mesh.vertices) == len(mesh.vertices) - 1
 
 
-def test_many_at_once_on_every_kind_of_surface() -> None:
+def test_many_defects_are_repaired_on_every_surface() -> None:
     for make in MESHES.values():
         sound = mesh = make()
         for number, row in enumerate(range(60, len(sound.triangles) - 60, 97)):
-            mesh = planted(mesh, PLANTS[number % len(PLANTS)], row)
+            mesh = plant_defect(mesh, PLANTS[number % len(PLANTS)], row)
         done = repair(mesh)
         repaired, found = (
             sum(len(some[name]) for name in CLASS_OF.values())
             for some in (done.repaired_defects, done.found_defects)
         )
-        # On the curved ring a triangle that is folded over lies on nothing.
+        # On the curved ring a folded triangle does not overlap its neighbour.
         assert repaired > 0.7 * found > 0
-        assert_nothing_new(mesh, done)
+        assert_no_new_defects(mesh, done)
         assert done.bound_m <= done.max_shape_m
 
 
-def test_a_sound_mesh_comes_back_as_it_is() -> None:
+def test_a_sound_mesh_is_unchanged() -> None:
     for make in MESHES.values():
         mesh = make()
         done = repair(mesh)
@@ -299,10 +305,10 @@ def test_a_sound_mesh_comes_back_as_it_is() -> None:
         assert done.bound_m == 0
 
 
-# -- what is left, and told ------------------------------------------------------------------------------
+# -- defects that remain and are reported ----------------------------------------------------------------
 
 
-def test_what_has_no_operation_is_told_and_stays() -> None:
+def test_defects_without_a_repair_are_reported_and_kept() -> None:
     mesh = ball()
     a, b, _ = mesh.triangles[0]
     fin = mesh.with_(
@@ -331,10 +337,10 @@ def test_what_has_no_operation_is_told_and_stays() -> None:
         ("fin", "not a manifold"),
     ],
 )
-def test_a_cap_stays_where_a_flip_would_cross_something(what: str, reason: str) -> None:
-    sound = textured(plain())
-    row = 0 if what == "border" else inner_row(sound)
-    mesh = planted(sound, "cap", row)
+def test_a_cap_is_kept_if_its_flip_would_cross_a_constraint(what: str, reason: str) -> None:
+    sound = add_texture(make_plain_sheet())
+    row = 0 if what == "border" else find_inner_triangle(sound)
+    mesh = plant_defect(sound, "cap", row)
     a, b, _ = mesh.triangles[row]
     texture = mesh.texture
     beyond = np.flatnonzero(np.isin(mesh.triangles, (a, b)).sum(axis=1) == 2)
@@ -356,7 +362,7 @@ def test_a_cap_stays_where_a_flip_would_cross_something(what: str, reason: str) 
         normals[beyond] = (0, 1.0, 0)
         mesh = mesh.with_(corner_normals=normals)
     elif what == "colour":
-        # Two vertices in one place, of two colours.
+        # Two coincident vertices with different colours.
         count, triangles = len(mesh.vertices), mesh.triangles.copy()
         triangles[beyond] = np.where(triangles[beyond] == a, count, triangles[beyond])
         colors = np.concatenate((mesh.colors, [[255, 0, 255]])).astype(np.uint8)
@@ -378,10 +384,11 @@ def test_a_cap_stays_where_a_flip_would_cross_something(what: str, reason: str) 
 
 
 def test_a_needle_is_not_collapsed_along_a_seam_that_would_tear() -> None:
-    sound = textured(plain())
-    row = inner_row(sound)
-    mesh = planted(sound, "needle", row)
-    # Every triangle at the new vertex has a texture of its own there, and all but one at the old one.
+    sound = add_texture(make_plain_sheet())
+    row = find_inner_triangle(sound)
+    mesh = plant_defect(sound, "needle", row)
+    # Every triangle at the new vertex has separate texture coordinates there, and all but one at the old
+    # vertex.
     for vertex in (len(sound.vertices), int(mesh.triangles[row, 0])):
         uvs = mesh.texture.uvs.copy()
         uvs[mesh.triangles == vertex] += np.arange(np.count_nonzero(mesh.triangles == vertex))[:, None]
@@ -392,19 +399,19 @@ def test_a_needle_is_not_collapsed_along_a_seam_that_would_tear() -> None:
     assert done.mesh.texture.uvs.tobytes() == mesh.texture.uvs.tobytes()
 
 
-# -- the bound, and what is undone for it ----------------------------------------------------------------
+# -- the bound, and edits that are rolled back -----------------------------------------------------------
 
 
-def test_what_passes_the_bound_is_rolled_back_alone() -> None:
-    sound = plain()
-    far, near = inner_row(sound), 40
-    mesh = planted(planted(sound, "needle", near), "needle", far)
+def test_only_edits_beyond_the_bound_are_rolled_back() -> None:
+    sound = make_plain_sheet()
+    far, near = find_inner_triangle(sound), 40
+    mesh = plant_defect(plant_defect(sound, "needle", near), "needle", far)
     bent = mesh.vertices.copy()
-    # Only in height: as thin as before, but its collapse moves the surface.
+    # Only the height changes: the triangle is as thin as before, but its collapse moves the surface.
     bent[-1, 2] += 0.0005
     mesh = mesh.with_(vertices=bent)
     every = repair(mesh, max_shape=0.01)
-    assert left(every) == {}
+    assert count_remaining(every) == {}
     done = repair(mesh, max_shape=0.0004)
     new = len(sound.vertices)
     gone = np.setdiff1d(np.arange(len(mesh.vertices)), done.vertex_source)
@@ -415,7 +422,7 @@ def test_what_passes_the_bound_is_rolled_back_alone() -> None:
     assert all("not proven to be within max_shape" in why for why in done.remaining_reasons["needles"])
     assert done.bound_m <= 0.0004 < 0.0005 <= every.bound_m
     beside = (mesh.triangles == sound.triangles[near, 0]).any(axis=1)
-    assert_nothing_else_is_touched(mesh, done, np.append(mesh.triangles[beside], new))
+    assert_rest_is_unchanged(mesh, done, np.append(mesh.triangles[beside], new))
     assert_bound_holds(mesh, done)
 
 
@@ -431,15 +438,15 @@ def test_a_spike_is_rolled_back_by_default() -> None:
     assert "1 where the distance is not proven to be within max_shape" in str(done.diagnostics[0])
 
 
-def test_no_distance_at_all_leaves_everything() -> None:
-    mesh = planted(plain(), "needle", inner_row(plain()))
+def test_a_bound_of_zero_keeps_all_defects() -> None:
+    mesh = plant_defect(make_plain_sheet(), "needle", find_inner_triangle(make_plain_sheet()))
     done = repair(mesh, max_shape=0)
     assert done.mesh.triangles.tobytes() == mesh.triangles.tobytes()
     assert done.bound_m == 0
 
 
-def test_undoing_an_edit_undoes_what_rests_on_it_and_no_more() -> None:
-    edited = EditableMesh.start(plain())
+def test_undoing_an_edit_undoes_only_dependent_edits() -> None:
+    edited = EditableMesh.start(make_plain_sheet())
     before = edited.input_corners.copy(), edited.triangles.copy(), edited.positions.copy()
     none = np.zeros(0, np.int64), np.zeros(0, np.int64), np.zeros((0, 3))
 
@@ -477,23 +484,23 @@ def test_undoing_an_edit_undoes_what_rests_on_it_and_no_more() -> None:
     corner_angle=st.sampled_from([1.0, 5.0, 15.0]),
 )
 @settings(deadline=None, max_examples=40)
-def test_a_crumpled_sheet_gets_no_worse(
+def test_repairing_a_crumpled_sheet_adds_no_defects(
     seed: int, disorder: float, height: float, max_shape: float | None, corner_angle: float
 ) -> None:
     random = np.random.default_rng(seed)
     mesh = sheet(9, noise=0, height=height)
     inner = (np.abs(mesh.vertices[:, :2] - 0.5) < 0.45).all(axis=1)
     shift = random.uniform(-disorder, disorder, (int(inner.sum()), 2)) / 9
-    # Of several vertices some are near others.
+    # Half of the shifts are small, so that some vertices are close to each other.
     shift[random.random(len(shift)) < 0.5] *= 0.1
     vertices = mesh.vertices.copy()
     vertices[inner, :2] += shift
-    mesh = textured(mesh.with_(vertices=vertices))
+    mesh = add_texture(mesh.with_(vertices=vertices))
     done = repair(mesh, max_shape=max_shape, corner_angle=corner_angle)
     again = repair(mesh, max_shape=max_shape, corner_angle=corner_angle, threads=1)
     assert done.mesh.vertices.tobytes() == again.mesh.vertices.tobytes()
     assert done.mesh.triangles.tobytes() == again.mesh.triangles.tobytes()
-    assert_nothing_new(mesh, done, corner_angle=corner_angle)
+    assert_no_new_defects(mesh, done, corner_angle=corner_angle)
     assert_bound_holds(mesh, done, 12)
     # Texture coordinates stay with their corners.
     was = mesh.texture.uvs.reshape(-1, 2)
@@ -514,26 +521,26 @@ def test_a_crumpled_sheet_gets_no_worse(
 @pytest.mark.slow
 @given(st.integers(0, 10**6), st.integers(1, 60), st.sampled_from([4, 9, 30]))
 @settings(deadline=None, max_examples=60)
-def test_a_soup_gets_no_worse(seed: int, count: int, places: int) -> None:
+def test_repairing_a_triangle_soup_adds_no_defects(seed: int, count: int, places: int) -> None:
     random = np.random.default_rng(seed)
     vertices = random.integers(0, 4, (places, 3)) + random.choice([0, 1e-3], (places, 3))
     mesh = Mesh(vertices.astype(float), random.integers(0, places, (count, 3)).astype(np.int32))
     done = repair(mesh, max_shape=0.5)
-    assert_nothing_new(mesh, done)
+    assert_no_new_defects(mesh, done)
     assert_bound_holds(mesh, done, 12)
 
 
-# -- as a part of clean, and bad input -------------------------------------------------------------------
+# -- as a part of clean, and invalid input ---------------------------------------------------------------
 
 
-def test_clean_repairs_on_request_and_keeps_where_all_came_from() -> None:
+def test_clean_repairs_on_request_and_keeps_provenance() -> None:
     sound = ball()
-    mesh = planted(planted(sound, "needle", 700), "cap", 100)
+    mesh = plant_defect(plant_defect(sound, "needle", 700), "cap", 100)
     untouched = clean(mesh)
     assert untouched.repair_result is None
     assert "repair" not in untouched.to_dict()
     done = clean(mesh, repair=True)
-    assert counts(done.mesh) == {}
+    assert count_defects(done.mesh) == {}
     assert done.to_dict()["repair"]["classes"]["caps"]["repaired"] == 1
     np.testing.assert_array_equal(mesh.vertices[done.vertex_source], done.mesh.vertices)
     np.testing.assert_array_equal(mesh.colors[done.vertex_source], done.mesh.colors)
@@ -545,7 +552,7 @@ def test_max_shape_without_repair_is_refused() -> None:
         clean(ball(), max_shape=0.1)
 
 
-def test_bad_input_is_told_in_a_sentence() -> None:
+def test_invalid_input_is_one_sentence() -> None:
     with pytest.raises(MeshError, match="vertex 0 is at"):
         repair((np.full((3, 3), 1e70), np.array([[0, 1, 2]])))
     with pytest.raises(UsageError, match="max_shape is -1"):
@@ -559,9 +566,9 @@ def test_a_mesh_without_triangles_is_repaired() -> None:
 
 
 @pytest.mark.parametrize("name", ["camelhead.off", "Duck.glb", "redkitchen_fused_vertexcolor.ply"])
-def test_real_meshes_get_no_worse(shared_data: Path, name: str) -> None:
+def test_repairing_real_meshes_adds_no_defects(shared_data: Path, name: str) -> None:
     mesh = read_mesh(shared_data / "meshes" / name)
     done = repair(mesh)
-    assert_nothing_new(mesh, done)
+    assert_no_new_defects(mesh, done)
     assert sum(map(len, done.repaired_defects.values())) > 0
     assert done.bound_m <= done.max_shape_m

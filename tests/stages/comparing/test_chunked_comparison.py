@@ -1,4 +1,4 @@
-"""Distances from and to a mesh in pieces are those of the whole, at the faces where pieces meet, too."""
+"""Distances from and to a chunked mesh equal those of the mesh in memory, also at faces between chunks."""
 
 from __future__ import annotations
 
@@ -29,42 +29,44 @@ pytestmark = pytest.mark.usefixtures("few_at_a_time")
 
 
 @pytest.fixture(scope="module")
-def whole(large: Path) -> Mesh:
+def read_whole(large: Path) -> Mesh:
     return read_ply(large)
 
 
-def measured(path: Path, whole: Mesh, mesh: Mesh) -> tuple[Any, Any]:
-    box: Floats = compute_joint_box(whole, mesh)
+def compare_with_chunks(path: Path, read_whole: Mesh, mesh: Mesh) -> tuple[Any, Any]:
+    box: Floats = compute_joint_box(read_whole, mesh)
     return compare_chunked(ChunkedMesh(ChunkedPly(path)), mesh, PARAMS, box=box, signed=(mesh, SIGNED))
 
 
-def is_near(found: Any, expected: Any) -> None:
-    """Let equal samples have equal distances, to rounding."""
+def assert_near(found: Any, expected: Any) -> None:
+    """Compare recursively; equal samples have equal distances up to rounding."""
     if isinstance(expected, dict):
         assert found.keys() == expected.keys()
         for name, value in expected.items():
-            is_near(found[name], value)
+            assert_near(found[name], value)
     elif isinstance(expected, list):
         assert len(found) == len(expected)
         for one, other in zip(found, expected, strict=True):
-            is_near(one, other)
+            assert_near(one, other)
     else:
         assert found == (pytest.approx(expected, rel=1e-6, abs=1e-9) if expected else expected)
 
 
-def test_metrics_are_those_of_the_whole(large: Path, whole: Mesh) -> None:
-    light = simplify(whole, ratio=0.1).mesh
-    found, signed = measured(large, whole, light)
-    is_near(found.to_dict(), compare(whole, light, PARAMS).to_dict())
-    expected = deviations(whole, light, SIGNED)
-    is_near(signed.to_dict(), expected.to_dict())
+def test_metrics_equal_those_of_the_mesh_in_memory(large: Path, read_whole: Mesh) -> None:
+    light = simplify(read_whole, ratio=0.1).mesh
+    found, signed = compare_with_chunks(large, read_whole, light)
+    assert_near(found.to_dict(), compare(read_whole, light, PARAMS).to_dict())
+    expected = deviations(read_whole, light, SIGNED)
+    assert_near(signed.to_dict(), expected.to_dict())
     np.testing.assert_allclose(signed.vertex_distances, expected.vertex_distances, atol=1e-7)
     assert found.to_dict()["color"] is not None
     assert signed.is_signed
 
 
-def test_over_a_ridge_where_pieces_meet_is_outside(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    # A steep roof, each side a piece: alone, one side takes what is over the other for its inside.
+def test_points_above_a_ridge_between_chunks_are_outside(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # A steep roof with one chunk per side: a single side would treat points above the other side as inside.
     feet = [[x, y, -1] for x in (-0.27, 0.27) for y in (0, 1)]
     vertices = np.array([[0, 0, 0], [0, 1, 0], *feet], np.float64)
     triangles = np.array([[0, 1, 3], [0, 3, 2], [1, 0, 4], [1, 4, 5]], np.int32)
@@ -79,22 +81,22 @@ def test_over_a_ridge_where_pieces_meet_is_outside(tmp_path: Path, monkeypatch: 
     above = Mesh(
         np.array([[-0.05, 0.2, 0.1], [0.05, 0.2, 0.1], [0.05, 0.8, 0.1]]), np.array([[0, 1, 2]], np.int32)
     )
-    found, signed = measured(path, Mesh(vertices, triangles), above)
+    found, signed = compare_with_chunks(path, Mesh(vertices, triangles), above)
     assert signed.is_signed
     np.testing.assert_allclose(signed.vertex_distances, np.hypot(0.05, 0.1))
     assert signed.sample_distances.min() > 0
     assert found.to_dict()["color"] is None
 
 
-def test_what_is_far_off_is_found_as_well(large: Path, whole: Mesh) -> None:
+def test_far_points_are_found(large: Path, read_whole: Mesh) -> None:
     away = np.array([[0, 0, 9.0], [1, 0, 9], [0, 1, 9]])
-    triangle = Mesh(np.vstack([away, whole.vertices[:3]]), np.array([[0, 1, 2], [3, 4, 5]], np.int32))
-    found, _ = measured(large, whole, triangle)
-    is_near(found.to_dict(), compare(whole, triangle, PARAMS).to_dict())
+    triangle = Mesh(np.vstack([away, read_whole.vertices[:3]]), np.array([[0, 1, 2], [3, 4, 5]], np.int32))
+    found, _ = compare_with_chunks(large, read_whole, triangle)
+    assert_near(found.to_dict(), compare(read_whole, triangle, PARAMS).to_dict())
 
 
-def test_few_points_ask_a_piece_they_are_not_near(
-    large: Path, whole: Mesh, monkeypatch: pytest.MonkeyPatch
+def test_chunks_are_searched_only_for_nearby_points(
+    large: Path, read_whole: Mesh, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     asked = []
 
@@ -104,7 +106,7 @@ def test_few_points_ask_a_piece_they_are_not_near(
             return super().find_closest_points(points)
 
     monkeypatch.setattr(chunked_comparison, "NeedleSafeSurface", Counting)
-    light = simplify(whole, ratio=0.1).mesh
-    measured(large, whole, light)
+    light = simplify(read_whole, ratio=0.1).mesh
+    compare_with_chunks(large, read_whole, light)
     points = PARAMS.samples + SIGNED.signed_samples + 2 * len(light.vertices)
     assert points <= sum(asked) < 2 * points

@@ -1,4 +1,4 @@
-"""Deviations with signs, tolerances and colours, of shapes whose distances are known; and alignment."""
+"""Signed deviations, tolerances and colour differences of shapes with known distances; and alignment."""
 
 from __future__ import annotations
 
@@ -18,22 +18,22 @@ from scanloom.stages.diagnostics.errors import InputError, UsageError
 from scanloom.stages.surface.raycasting import RaycastingSurface, compute_bounding_box
 
 
-def mesh_of(made: trimesh.Trimesh, color: tuple[int, int, int] | None = None) -> Mesh:
+def to_mesh(made: trimesh.Trimesh, color: tuple[int, int, int] | None = None) -> Mesh:
     vertices = np.array(made.vertices)
     colors = None if color is None else np.tile(np.array(color, np.uint8), (len(vertices), 1))
     return Mesh(vertices, np.array(made.faces, np.int32), colors)
 
 
 def ball(radius: float, color: tuple[int, int, int] | None = None) -> Mesh:
-    return mesh_of(trimesh.creation.icosphere(subdivisions=4, radius=radius), color)
+    return to_mesh(trimesh.creation.icosphere(subdivisions=4, radius=radius), color)
 
 
-def test_a_larger_ball_is_outside_and_a_smaller_one_inside():
+def test_a_larger_sphere_is_outside_and_a_smaller_one_inside():
     for radius, offset in ((1.02, 0.02), (0.97, -0.03)):
         found = deviations(ball(1), ball(radius), tolerance=0.025)
         told = found.to_dict()
         assert told["is_signed"]
-        # The facets of both lie a little inside of the balls.
+        # The facets of both are slightly inside the spheres.
         assert told["mean_m"] == pytest.approx(offset, abs=2e-3)
         assert told["absolute_percentiles_m"]["50"] == pytest.approx(abs(offset), abs=2e-3)
         assert (np.sign(found.vertex_distances) == np.sign(offset)).all()
@@ -65,12 +65,12 @@ def test_two_parallel_squares():
 
 @settings(max_examples=25, deadline=None)
 @given(st.integers(0, 10_000))
-def test_signs_are_those_of_an_independent_test_of_inside(seed):
+def test_signs_agree_with_an_independent_inside_test(seed):
     box, cone = trimesh.creation.box(extents=(1, 2, 0.3)), trimesh.creation.cone(0.5, 1.5, sections=7)
     made = box if seed % 2 else cone
     rng = np.random.default_rng(seed)
     points = rng.uniform(-1.2, 1.7, (300, 3))
-    mesh = mesh_of(made)
+    mesh = to_mesh(made)
     low, high = compute_bounding_box(mesh)
     box = np.array([np.minimum(points.min(axis=0), low), np.maximum(points.max(axis=0), high)])
     nearest = NeedleSafeSurface(RaycastingSurface(mesh, box), box).find_closest_points(points)
@@ -82,16 +82,17 @@ def test_signs_are_those_of_an_independent_test_of_inside(seed):
     np.testing.assert_array_equal(signs[clear] < 0, inside[clear])
 
 
-def test_colours_differ_as_the_eye_sees_it():
+def test_colour_differences_are_ciede2000():
     found = deviations(ball(1, (200, 30, 30)), ball(1, (200, 30, 30))).to_dict()["delta_e_2000"]
     assert found["maximum"] == pytest.approx(0, abs=1e-6)
-    # White and a grey of 119 levels are 49.97 / (1 + 0.015 · 25² / √(20 + 25²)) apart in lightness.
+    # CIEDE2000 of white and a grey of 119 levels: their lightness difference weighted by 1 + 0.015 · 25² /
+    # √(20 + 25²).
     grey = deviations(ball(1, (255, 255, 255)), ball(1, (119, 119, 119))).to_dict()["delta_e_2000"]
     assert grey["mean"] == pytest.approx(36.49, abs=0.02)
     assert deviations(ball(1), ball(1, (1, 2, 3))).to_dict()["delta_e_2000"] is None
 
 
-def test_the_worst_places_are_apart_and_worst_first():
+def test_the_worst_positions_are_separate_and_sorted():
     mesh = ball(1)
     vertices = mesh.vertices.copy()
     for k, height in ((10, 0.12), (900, 0.1), (2000, 0.08)):
@@ -105,7 +106,7 @@ def test_the_worst_places_are_apart_and_worst_first():
 
 
 @pytest.mark.parametrize("palette", PALETTES)
-def test_colours_tell_sides_and_tolerance(palette):
+def test_colours_show_sign_and_tolerance(palette):
     values = np.array((-2, -1, -0.5, -0.1, 0, 0.1, 0.5, 1, 2.0))
     colors = colorize_distances(values, 0.2, 1, palette).astype(int)
     assert len({tuple(c) for c in colors[3:6]}) == 1
@@ -118,7 +119,7 @@ def test_colours_tell_sides_and_tolerance(palette):
 @pytest.mark.slow
 @settings(max_examples=8, deadline=None)
 @given(st.integers(0, 1000))
-def test_a_moved_copy_is_moved_back(seed):
+def test_a_moved_copy_is_aligned(seed):
     rng = np.random.default_rng(seed)
     body = make_bumpy_body()
     axis = rng.normal(size=3)
@@ -135,7 +136,7 @@ def test_a_moved_copy_is_moved_back(seed):
     assert len(again.vertices) == len(body.vertices)
 
 
-def test_far_from_the_origin_too():
+def test_alignment_works_far_from_the_origin():
     body = make_bumpy_body()
     away = np.array((4e5, -2e5, 30.0))
     far = body.with_(vertices=body.vertices + away)
@@ -144,7 +145,7 @@ def test_far_from_the_origin_too():
     assert how.displacement_rms_m == pytest.approx(0.02, abs=2e-3)
 
 
-def test_what_does_not_overlap_is_refused():
+def test_meshes_without_overlap_are_not_aligned():
     with pytest.raises(InputError, match="cannot be aligned"):
         align(ball(1).with_(vertices=ball(1).vertices + 9), ball(1))
 
@@ -153,6 +154,6 @@ WRONG = ({"tolerance": -1}, {"color_range": 0}, {"palette": "grey"}, {"signed_sa
 
 
 @pytest.mark.parametrize("changes", WRONG)
-def test_wrong_words_are_refused(changes):
+def test_invalid_parameters_are_refused(changes):
     with pytest.raises(UsageError):
         deviations(ball(1), ball(1), **changes)

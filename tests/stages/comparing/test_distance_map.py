@@ -1,4 +1,4 @@
-"""Colours of distances: dark where two meshes are near, the last colour where they are far."""
+"""Distance colours: dark for small distances, the last colour for large ones."""
 
 import numpy as np
 import pytest
@@ -8,11 +8,11 @@ from scanloom.stages.comparing.distance_map import paint_distances
 from scanloom.stages.surface.raycasting import RaycastingSurface, compute_bounding_box
 
 
-def brightness(mesh):
+def compute_brightness(mesh):
     return mesh.colors.astype(float) @ (0.299, 0.587, 0.114)
 
 
-def test_colours_grow_brighter_with_distance_up_to_the_full_scale():
+def test_brightness_increases_with_distance_up_to_full_scale():
     mesh = sheet(20, noise=0.0)
     lift = 0.1 * mesh.vertices[:, :1] * (0, 0, 1)
     other = mesh.with_(vertices=mesh.vertices + lift)
@@ -21,7 +21,7 @@ def test_colours_grow_brighter_with_distance_up_to_the_full_scale():
     assert full_scale == 0.05
     distances = surface.find_closest_points(mesh.vertices).distances
     order = np.argsort(distances[distances < 0.05])
-    assert (np.diff(brightness(painted)[distances < 0.05][order]) > -2).all()
+    assert (np.diff(compute_brightness(painted)[distances < 0.05][order]) > -2).all()
     last = painted.colors[distances >= 0.05]
     assert len(last) > 10
     assert (last == last[0]).all()
@@ -29,7 +29,7 @@ def test_colours_grow_brighter_with_distance_up_to_the_full_scale():
     np.testing.assert_array_equal(painted.vertices, mesh.vertices)
 
 
-def test_by_default_all_but_a_hundredth_are_within_the_scale():
+def test_the_default_scale_includes_99_percent():
     mesh = sheet(20, noise=0.0)
     far = mesh.vertices.copy()
     far[7, 2] += 5
@@ -39,9 +39,9 @@ def test_by_default_all_but_a_hundredth_are_within_the_scale():
     assert full_scale == pytest.approx(0.01, rel=0.3)
 
 
-def test_equal_meshes_are_dark_all_over():
+def test_equal_meshes_are_dark_everywhere():
     mesh = sheet(8)
     painted, full_scale = paint_distances(mesh, RaycastingSurface(mesh))
     assert full_scale < 1e-6
     painted, _ = paint_distances(mesh, RaycastingSurface(mesh), 0.01)
-    assert brightness(painted).max() < 40
+    assert compute_brightness(painted).max() < 40

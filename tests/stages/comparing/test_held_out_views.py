@@ -1,4 +1,4 @@
-"""Photos that nothing was made from: what they tell of a mesh, also where their pose is not quite right."""
+"""Evaluation of a mesh by held-out photos, also with slightly wrong poses."""
 
 from dataclasses import replace
 
@@ -17,7 +17,7 @@ def painted() -> Mesh:
     return texture(wall(), photos(12), format="png").mesh
 
 
-def test_a_good_texture_comes_near_and_a_grey_wall_does_not(painted):
+def test_a_good_texture_scores_better_than_a_grey_wall(painted):
     held_out = [photo(0, pose(0.5, 0.5)), photo(1, pose(0.48, 0.53, z=-0.6, turn=4))]
     good = evaluate_held_out_photos(painted, held_out).to_dict()
     assert good["photos"] == 2
@@ -30,7 +30,7 @@ def test_a_good_texture_comes_near_and_a_grey_wall_does_not(painted):
     assert grey["sharpness"] < 0.1
 
 
-def test_a_photo_whose_pose_is_off_is_placed(painted):
+def test_a_photo_with_a_wrong_pose_is_localised(painted):
     frame = photo(0, pose(0.5, 0.5))
     off = replace(frame, world_from_camera=pose(0.53, 0.49))
     found = evaluate_held_out_photos(painted, [off])
@@ -39,7 +39,7 @@ def test_a_photo_whose_pose_is_off_is_placed(painted):
     assert found.comparison_images["worst"].shape == (120, 320, 3)
 
 
-def test_a_large_photo_is_placed_when_made_smaller_and_judged_as_it_is(painted, monkeypatch):
+def test_a_large_photo_is_localised_at_lower_resolution_and_evaluated_at_full(painted, monkeypatch):
     off = replace(photo(0, pose(0.5, 0.5)), world_from_camera=pose(0.53, 0.49))
     (whole,) = evaluate_held_out_photos(painted, [off]).scores
     monkeypatch.setattr(left_out_module, "_MAX_LOCALIZATION_SIDE_PX", 120)
@@ -51,15 +51,17 @@ def test_a_large_photo_is_placed_when_made_smaller_and_judged_as_it_is(painted, 
     assert found.comparison_images["worst"].shape == (120, 320, 3)
 
 
-def test_a_pose_from_which_little_counts_is_not_taken(painted, monkeypatch):
+def test_a_pose_with_little_overlap_is_not_used(painted, monkeypatch):
     frame = replace(photo(0, pose(0.5, 0.5)), world_from_camera=pose(0.6, 0.45))
-    # From there the wall fills a corner, and nothing of it can be wrong.
-    beside = pose(1.4, -0.3)
+    # From that pose the wall only fills a corner of the image, so hardly any error could be measured.
+    corner_pose = pose(1.4, -0.3)
 
-    def little(_image: object, _camera: object, given: np.ndarray, _surface: object) -> list[np.ndarray]:
-        return [given, beside]
+    def return_candidates(
+        _image: object, _camera: object, given: np.ndarray, _surface: object
+    ) -> list[np.ndarray]:
+        return [given, corner_pose]
 
-    monkeypatch.setattr(left_out_module, "generate_pose_candidates", little)
+    monkeypatch.setattr(left_out_module, "generate_pose_candidates", return_candidates)
     monkeypatch.setattr(left_out_module, "_MIN_MESH_PIXELS", 1)
     (score,) = evaluate_held_out_photos(painted, [frame]).scores
     assert not score.is_localized
@@ -68,14 +70,14 @@ def test_a_pose_from_which_little_counts_is_not_taken(painted, monkeypatch):
     assert score.is_localized
 
 
-def test_brightness_counts_only_raw(painted):
+def test_exposure_affects_only_the_raw_score(painted):
     frame = photo(0, pose(0.5, 0.5))
     darker = replace(frame, color=(np.asarray(frame.color) * 0.6).astype(np.uint8))
     (score,) = evaluate_held_out_photos(painted, [darker]).scores
     assert score.affine > score.raw + 8
 
 
-def test_what_cannot_be_judged_is_named(painted):
+def test_frames_that_cannot_be_evaluated_are_listed(painted):
     lost = replace(photo(0, pose(0.5, 0.5)), world_from_camera=None)
     away = photo(1, pose(40.0, 0.5))
     found = evaluate_held_out_photos(painted, [lost, away, replace(lost, color=None)])
@@ -89,10 +91,10 @@ def test_what_cannot_be_judged_is_named(painted):
 
 
 @pytest.mark.slow
-def test_a_photo_whose_rows_are_read_one_after_the_other_is_placed_with_its_turn(painted):
+def test_a_rolling_shutter_photo_is_localised_with_its_rotation(painted):
     rolling = photo(0, pose(0.5, 0.5), turn=np.radians((2.25, -3.75, 1.5)))
     (as_if_at_once,) = evaluate_held_out_photos(painted, [rolling]).scores
-    # That its camera turns is known of those that took part, but not how much.
+    # The shutter of held-out frames is known to roll, but their rotation is unknown.
     (with_turn,) = evaluate_held_out_photos(
         painted, [replace(rolling, shutter_turn=np.radians((0.0, 1.0, 0.0)))]
     ).scores

@@ -1,4 +1,4 @@
-"""Triangles far longer than high are found by searches in single precision, too."""
+"""Searches in single precision also find needle triangles."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ import pytest
 from scanloom import Mesh, compare
 
 
-def _fan(height: float, count: int = 24) -> Mesh:
-    """Triangles about 2 m long, of this height over length, around an axis that no coordinate has."""
+def _make_fan(height: float, count: int = 24) -> Mesh:
+    """Make needle triangles of 2 m length around an oblique axis; `height` is relative to the length."""
     angles = height * np.arange(count + 1)
     rim = np.stack([np.cos(angles), np.sin(angles), 0.1 * np.sin(9 * angles)], axis=1)
     turn = np.linalg.qr(np.random.default_rng(3).normal(size=(3, 3)))[0]
@@ -20,14 +20,14 @@ def _fan(height: float, count: int = 24) -> Mesh:
 
 
 @pytest.mark.parametrize("height", [2e-4, 1e-3, 4e-3, 7e-3, 0.015])
-def test_a_mesh_of_needles_is_where_it_is(height: float) -> None:
-    mesh = _fan(height)
+def test_a_mesh_of_needles_has_no_distance_to_itself(height: float) -> None:
+    mesh = _make_fan(height)
     found = compare(mesh, mesh, samples=200_000)
     assert found.symmetric.maximum < 1.5e-4
 
 
 def test_needles_keep_their_colours() -> None:
-    mesh = _fan(4e-3)
+    mesh = _make_fan(4e-3)
     colors = np.random.default_rng(0).integers(0, 256, (len(mesh.vertices), 3)).astype(np.uint8)
     found = compare(mesh.with_(colors=colors), mesh.with_(colors=colors), samples=50_000)
     assert found.color is not None

@@ -1,4 +1,4 @@
-"""Meshes for other programs: turned, scaled, small; each format read again by another library."""
+"""Meshes for other programs: rotated, scaled, compressed; each format is read back by another library."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ VALIDATE = Path(__file__).resolve().parents[2] / "made" / "validate_glb.cjs"
 
 @pytest.mark.parametrize("suffix", [s for s in EXPORT_SUFFIXES if not s.startswith(".usd")])
 @pytest.mark.parametrize("made", [sheet, textured_sheet, ball])
-def test_every_format_holds_the_shape_where_it_was(tmp_path, suffix, made):
+def test_every_format_keeps_shape_and_position(tmp_path, suffix, made):
     mesh = made().with_(up=UP)
     written = export(mesh, tmp_path / f"a{suffix}")
     assert written.triangles == len(mesh.triangles)
@@ -42,7 +42,7 @@ def test_every_format_holds_the_shape_where_it_was(tmp_path, suffix, made):
 
 @pytest.mark.parametrize("axes", AXES)
 @pytest.mark.parametrize("suffix", [".ply", ".obj", ".stl", ".off"])
-def test_formats_that_do_not_say_what_is_up_are_turned_where_asked(tmp_path, axes, suffix):
+def test_formats_without_up_axis_are_rotated_on_request(tmp_path, axes, suffix):
     mesh = sheet().with_(colors=None, up=UP, normals=np.tile((0.0, 0.0, 1.0), (144, 1)))
     export(mesh, tmp_path / f"a{suffix}", axes=axes)
     back = read_mesh(tmp_path / f"a{suffix}")
@@ -54,7 +54,7 @@ def test_formats_that_do_not_say_what_is_up_are_turned_where_asked(tmp_path, axe
         assert (np.einsum("ij,ij->i", across, back.normals[back.triangles[:, 0]]) > 0).all()
 
 
-def test_where_nothing_tells_what_is_up_it_is_said(tmp_path):
+def test_an_unknown_up_direction_is_reported(tmp_path):
     written = export(sheet(), tmp_path / "a.obj", axes="y-up")
     assert any("up direction is unknown" in str(one) for one in written.diagnostics)
     given = export(sheet(), tmp_path / "a.obj", axes="y-up", up="+z")
@@ -63,32 +63,32 @@ def test_where_nothing_tells_what_is_up_it_is_said(tmp_path):
     np.testing.assert_allclose(np.sort(back.vertices[:, 1]), np.sort(sheet().vertices[:, 2]), atol=1e-6)
 
 
-def unmet_of(written: ExportResult) -> list[str]:
+def list_unmet(written: ExportResult) -> list[str]:
     return [str(one) for one in written.diagnostics if one.severity is Severity.UNMET]
 
 
-def test_for_a_printer_it_stands_on_the_plate_in_millimetres(tmp_path):
+def test_the_print_preset_puts_the_mesh_on_the_plate_in_millimetres(tmp_path):
     written = export(ball(), tmp_path / "a.stl", preset("print", ".stl"))
-    assert unmet_of(written) == []
+    assert list_unmet(written) == []
     low, high = (f(read_mesh(tmp_path / "a.stl").vertices, axis=0) for f in (np.min, np.max))
     np.testing.assert_allclose(low, (-50, -50, 0), atol=1e-3)
     np.testing.assert_allclose(high, (50, 50, 100), atol=1e-3)
     open_one = export(sheet(), tmp_path / "b.stl", preset("print", ".stl"))
-    assert any("edges with only one triangle" in text for text in unmet_of(open_one))
+    assert any("edges with only one triangle" in text for text in list_unmet(open_one))
     turned_in = ball().with_(triangles=np.ascontiguousarray(ball().triangles[:, ::-1]))
     turned = export(turned_in, tmp_path / "c.stl", preset("print", ".stl"))
-    assert any("inwards" in text for text in unmet_of(turned))
+    assert any("inwards" in text for text in list_unmet(turned))
 
 
 @pytest.mark.parametrize("kind", ["jpeg", "webp", "png"])
 @pytest.mark.parametrize("given", ["jpeg", "webp", "png"])
-def test_images_are_encoded_anew_only_where_they_must_be(tmp_path, kind, given):
+def test_images_are_encoded_again_only_if_necessary(tmp_path, kind, given):
     mesh = textured_sheet(kind=given)
     export(mesh, tmp_path / "a.glb", images=kind)
     (image,) = read_mesh(tmp_path / "a.glb").texture.images
     assert image.mime == f"image/{kind}"
     assert len(read_container(tmp_path / "a.glb").tree["images"]) == 1
-    # One that was read and replaced is not kept beside the new one.
+    # The replaced source image must not remain next to the new image.
     export(read_mesh(tmp_path / "a.glb"), tmp_path / "c.glb", images="webp", image_size=40)
     assert len(read_container(tmp_path / "c.glb").tree["images"]) == 1
     if kind == given:
@@ -109,7 +109,7 @@ def test_transparency_is_not_lost_to_jpeg(tmp_path):
 
 
 @pytest.mark.slow
-def test_the_validator_of_gltf_finds_nothing(tmp_path):
+def test_gltf_files_pass_the_validator(tmp_path):
     folder = tmp_path / "files"
     folder.mkdir()
     for name, made in (("colours", sheet), ("image", textured_sheet), ("ball", ball)):
@@ -133,11 +133,11 @@ def test_a_file_for_the_web_is_small(tmp_path):
 
 
 @pytest.mark.parametrize("suffix", EXPORT_SUFFIXES)
-def test_images_for_the_web_are_webp_where_programs_read_it(suffix):
+def test_web_images_are_webp_in_gltf_and_jpeg_elsewhere(suffix):
     assert preset("web", suffix).images == ("webp" if suffix in GLTF_SUFFIXES else "jpeg")
 
 
-def test_blender_turns_obj_files_and_no_others(tmp_path):
+def test_the_blender_preset_rotates_only_obj_files(tmp_path):
     for suffix, height in ((".obj", 1), (".ply", 2), (".stl", 2)):
         export(sheet().with_(up=UP), tmp_path / f"a{suffix}", preset("blender", suffix))
         back = read_mesh(tmp_path / f"a{suffix}")
@@ -160,13 +160,13 @@ def test_blender_turns_obj_files_and_no_others(tmp_path):
         ("a.glb", {"quality": 0}, "quality"),
     ],
 )
-def test_what_cannot_be_asked_is_refused_and_nothing_is_written(tmp_path, name, changes, message):
+def test_unsupported_options_are_refused_before_writing(tmp_path, name, changes, message):
     with pytest.raises(UsageError, match=message):
         export(sheet(), tmp_path / name, **changes)
     assert list(tmp_path.iterdir()) == []
 
 
-def test_presets_fit_every_format_that_they_are_used_with():
+def test_presets_are_valid_for_every_format():
     for name in PRESETS:
         for suffix in EXPORT_SUFFIXES:
             require_supported_params(Path(f"a{suffix}"), preset(name, suffix))

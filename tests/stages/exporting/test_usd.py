@@ -1,4 +1,4 @@
-"""USD files, opened again by USD's own library."""
+"""USD files, read by USD's reference library."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ pxr = pytest.importorskip("pxr")
 from pxr import Usd, UsdGeom, UsdShade  # noqa: E402
 
 
-def opened(path: Path):
+def open_stage(path: Path):
     stage = Usd.Stage.Open(str(path))
     return stage, UsdGeom.Mesh(stage.GetPrimAtPath("/scan/mesh"))
 
 
 @pytest.mark.parametrize("suffix", [".usda", ".usdz"])
 @pytest.mark.parametrize("made", [sheet, textured_sheet, ball])
-def test_it_stands_in_metres_and_shows_its_colours(tmp_path, suffix, made):
+def test_usd_is_metric_upright_and_coloured(tmp_path, suffix, made):
     mesh = made().with_(up=UP)
     export(mesh, tmp_path / f"a{suffix}")
-    stage, shape = opened(tmp_path / f"a{suffix}")
+    stage, shape = open_stage(tmp_path / f"a{suffix}")
     assert UsdGeom.GetStageUpAxis(stage) == "Y"
     assert UsdGeom.GetStageMetersPerUnit(stage) == 1
     assert stage.GetDefaultPrim().GetName() == "scan"
@@ -64,7 +64,7 @@ def test_it_stands_in_metres_and_shows_its_colours(tmp_path, suffix, made):
                 assert packed.read(name) == mesh.texture.images[0].file_bytes
 
 
-def test_an_image_that_no_previewer_reads_becomes_png(tmp_path):
+def test_an_unsupported_image_becomes_png(tmp_path):
     written = export(textured_sheet(kind="webp"), tmp_path / "a.usdz")
     assert any("PNG" in str(one) for one in written.diagnostics)
     with zipfile.ZipFile(tmp_path / "a.usdz") as packed:

@@ -1,4 +1,4 @@
-"""The filter of depth maps in NumPy and OpenCV, step by step, for the kernel to be compared with."""
+"""Reference implementation of the depth filter in NumPy and OpenCV, for comparison with the kernel."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from scanloom.stages.scans.model.scan import Camera, DepthImage
 
 Image = NDArray[np.float32]
 
-# Differences are averaged over this many pixels each way: enough to even out the depth steps of a
-# structured-light sensor, few enough to keep a table's edge.
+# Differences are averaged over this many pixels in each direction: enough to smooth the depth quantisation of
+# a structured-light sensor, few enough to keep the edge of a table.
 _WINDOW = 5
-# A pixel more oblique than this (70 degrees) is believed only on a plane, as a road's are: averaged over a
-# wider window, its slope must be about the same. Else it belongs to the outline of something round or ragged,
-# where the distance along the normal cannot be told, and counts as no more oblique than this; or, beyond
-# `_SMEARED`, to a discontinuity that the sensor or the matcher has smeared.
+# A pixel more oblique than this (70 degrees) is accepted only on a plane, such as a road: averaged over a
+# wider window, its slope must be about the same. Otherwise it belongs to a round or ragged outline, where the
+# distance along the normal is unknown, and its obliqueness is clamped to this value; beyond `_SMEARED` it
+# belongs to a smeared discontinuity.
 _STEEP = 2.9
 _SMEARED = 5.0
 _WIDE_WINDOW = 25
@@ -27,27 +27,27 @@ _LIKE = 1.5
 
 
 def orient_depth(depth: DepthImage, camera: Camera, *, max_jump: float, max_angle: float) -> OrientedDepth:
-    """Measure the surface's orientation, and drop pixels at depth discontinuities or seen too obliquely.
+    """Estimate surface orientation; remove pixels at depth discontinuities and oblique pixels.
 
-    Sensors and matchers put "flying" pixels beside a discontinuity, between the near and the far surface,
-    where nothing is; so both sides of it go. Gaps of one pixel between depths that agree are bridged: depth
-    that was warped into a colour camera's view is full of them.
+    Sensors and matchers produce "flying" pixels between the near and the far surface of a discontinuity, so
+    both sides of it are removed. Gaps of one pixel between similar depths are bridged: depth that was warped
+    into the view of a colour camera has many of them.
 
     Parameters
     ----------
     depth : (h, w) float32 metres, 0 where missing.
-    max_jump : change of depth between neighbouring pixels, relative to depth, that makes a discontinuity.
-    max_angle : degrees between the line of sight and the surface's normal.
+    max_jump : depth change between neighbouring pixels, relative to depth, that makes a discontinuity.
+    max_angle : degrees between the line of sight and the surface normal.
     """
     depth, inverse = fill_gaps(depth, max_jump)
     torn = np.zeros(depth.shape, bool)
     across, down = (compute_inverse_depth_differences(inverse, axis, max_jump, torn) for axis in (1, 0))
-    rays = _rays(camera)
-    normal = _normal(depth, camera, rays.columns, rays.rows, across.mean(_WINDOW), down.mean(_WINDOW))
-    obliqueness = _length(normal)
+    rays = _compute_rays(camera)
+    normal = _compute_normal(depth, camera, rays.columns, rays.rows, across.mean(_WINDOW), down.mean(_WINDOW))
+    obliqueness = _compute_length(normal)
     steep = np.nonzero(obliqueness > _STEEP)
-    wide = _length(
-        _normal(
+    wide = _compute_length(
+        _compute_normal(
             depth[steep],
             camera,
             rays.columns[steep[1]],
@@ -61,29 +61,29 @@ def orient_depth(depth: DepthImage, camera: Camera, *, max_jump: float, max_angl
     torn[steep] |= curved & (narrow > _SMEARED)
     for image in (*normal, obliqueness):
         image[steep] *= np.where(curved, np.float32(_STEEP) / narrow, np.float32(1))
-    # Cosine of the angle of sight: 1 / (obliqueness · length of the ray).
+    # Cosine of the viewing angle: 1 / (obliqueness · length of the ray).
     too_oblique = obliqueness * rays.length * np.float32(np.cos(np.radians(max_angle))) > 1
     depth[torn | too_oblique] = 0
     return OrientedDepth(depth, normal, obliqueness)
 
 
-def _normal(
+def _compute_normal(
     depth: Image, camera: Camera, columns: Image, rows: Image, across: Image, down: Image
 ) -> tuple[Image, Image, Image]:
-    """Return the normal, with d ln z = −z d(1/z); see OrientedDepth for its length."""
+    """Compute the normal, with d ln z = −z d(1/z); see OrientedDepth for its length."""
     x = np.float32(-camera.fx) * depth * across
     y = np.float32(-camera.fy) * depth * down
     return x, y, -(1 + columns * x + rows * y)
 
 
-def _length(vector: tuple[Image, Image, Image]) -> Image:
+def _compute_length(vector: tuple[Image, Image, Image]) -> Image:
     x, y, z = vector
     return np.asarray(np.sqrt(x * x + y * y + z * z))
 
 
 @dataclass(frozen=True, eq=False)
 class _Rays:
-    """Lines of sight (x/z, y/z, 1): x/z of each column (w,), y/z of each row (h, 1), lengths (h, w)."""
+    """Viewing rays (x/z, y/z, 1): x/z of each column (w,), y/z of each row (h, 1), lengths (h, w)."""
 
     columns: Image
     rows: Image
@@ -91,7 +91,7 @@ class _Rays:
 
 
 @lru_cache(maxsize=8)
-def _rays(camera: Camera) -> _Rays:
+def _compute_rays(camera: Camera) -> _Rays:
     columns = ((np.arange(camera.width) - camera.cx) / camera.fx).astype(np.float32)
     rows = ((np.arange(camera.height) - camera.cy) / camera.fy).astype(np.float32)[:, None]
     return _Rays(columns, rows, np.sqrt(1 + columns**2 + rows**2))

@@ -1,4 +1,4 @@
-"""The kernel that filters depth maps, beside the same in NumPy and OpenCV."""
+"""The depth filter kernel, compared with a NumPy reference."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ LIMITS = {"max_jump": 0.05, "max_angle": 87.0}
 CAMERA = Camera(97, 71, 80.0, 82.0, 47.3, 36.1)
 
 
-def scene(seed: int) -> NDArray[np.float32]:
-    """A wall, a floor at a grazing angle, a ball before both; noise, holes, gaps of one pixel."""
+def make_scene(seed: int) -> NDArray[np.float32]:
+    """Make a wall, an oblique floor and a sphere in front, with noise, holes and gaps of one pixel."""
     draw = np.random.default_rng(seed)
     rows, columns = np.mgrid[: CAMERA.height, : CAMERA.width]
     x, y = (columns - CAMERA.cx) / CAMERA.fx, (rows - CAMERA.cy) / CAMERA.fy
@@ -36,14 +36,14 @@ def scene(seed: int) -> NDArray[np.float32]:
 
 
 def assert_alike(depth: NDArray[np.float32], camera: Camera) -> None:
-    """What counts is the same but for rounding; where that decides, pixels may be dropped by one alone."""
+    """Check for equal results up to rounding; rounding may decide about single pixels."""
     found = depth_filter.orient_depth(depth, camera, **LIMITS)
     expected = numpy_filter.orient_depth(depth, camera, **LIMITS)
     assert ((found.depth > 0) != (expected.depth > 0)).mean() < 1e-4
     both = (found.depth > 0) & (expected.depth > 0)
     assert both.mean() > 0.3
     np.testing.assert_array_equal(found.depth[both], expected.depth[both])
-    # Means over windows are summed in another order: what is left is small against slopes around.
+    # Window means are summed in another order; the difference is small against slopes nearby.
     off = np.abs(found.obliqueness - expected.obliqueness)[both] / expected.obliqueness[both]
     assert np.quantile(off, 0.999) < 1e-5
     for axis, other in zip(found.normal, expected.normal, strict=True):
@@ -51,17 +51,17 @@ def assert_alike(depth: NDArray[np.float32], camera: Camera) -> None:
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_the_kernel_does_what_numpy_does(seed: int) -> None:
-    depth = scene(seed)
+def test_the_kernel_agrees_with_numpy(seed: int) -> None:
+    depth = make_scene(seed)
     found = depth_filter.orient_depth(depth, CAMERA, **LIMITS)
     steep = (found.depth > 0) & (found.obliqueness > 2.9)
-    # Both ways of what is steep are taken: the floor is believed, the ball's rim is not.
+    # Both cases of steep pixels occur: the floor is kept, the rim of the sphere is clamped.
     assert steep.sum() > 50
     assert (np.abs(found.obliqueness - 2.9) < 1e-4).sum() > 10
     assert_alike(depth, CAMERA)
 
 
-def test_and_on_frames_of_a_sensor(shared_data: Path) -> None:
+def test_the_kernel_agrees_with_numpy_on_sensor_frames(shared_data: Path) -> None:
     frame = read_scan(shared_data / "rgbd" / "7scenes_redkitchen").frames[40]
     depth = read_depth(frame)
     assert depth is not None
@@ -79,7 +79,7 @@ def test_images_of_few_pixels(shape: tuple[int, int]) -> None:
     np.testing.assert_allclose(found.obliqueness, expected.obliqueness, rtol=1e-6)
 
 
-def test_what_is_out_of_the_limits_or_no_number_is_missing() -> None:
+def test_depth_outside_the_limits_or_not_finite_is_missing() -> None:
     depth = np.full((71, 97), 2, np.float32)
     for k, value in enumerate((np.nan, np.inf, -1, 0.3, 7)):
         depth[10 * k + 5 : 10 * k + 9, 20:40] = value
@@ -90,8 +90,8 @@ def test_what_is_out_of_the_limits_or_no_number_is_missing() -> None:
         assert (found.depth[10 * k + 5 : 10 * k + 9, 20:40] == 0).all()
 
 
-def test_any_number_of_threads_gives_the_same_bits() -> None:
-    depth = np.tile(scene(1), (4, 1))
+def test_results_do_not_depend_on_the_number_of_threads() -> None:
+    depth = np.tile(make_scene(1), (4, 1))
     pixels = (CAMERA.fx, CAMERA.fy, CAMERA.cx, 2.0 * CAMERA.height, CAMERA.width, 4 * CAMERA.height)
 
     def run(threads: int) -> bytes:

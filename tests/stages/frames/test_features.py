@@ -1,4 +1,4 @@
-"""Descriptors that are each other's likest, against all products of their roots."""
+"""Mutual nearest descriptors, compared with a brute-force search over all pairs."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from scanloom.stages import _kernels
 from scanloom.stages.frames.features import compute_root_sift, match_descriptors
 
 
-def some(rng: np.random.Generator, count: int) -> NDArray[np.uint8]:
-    """Return descriptors whose values are mostly small, as SIFT's are."""
+def make_descriptors(rng: np.random.Generator, count: int) -> NDArray[np.uint8]:
+    """Draw descriptors with mostly small values, like SIFT's."""
     return (rng.random((count, 128)) ** 6 * 255).astype(np.uint8)
 
 
@@ -21,11 +21,11 @@ def some(rng: np.random.Generator, count: int) -> NDArray[np.uint8]:
     seed=st.integers(0, 10_000), there=st.integers(0, 150), more=st.integers(0, 150), off=st.integers(0, 90)
 )
 @settings(max_examples=60, deadline=None)
-def test_matches_are_those_of_all_products(seed: int, there: int, more: int, off: int) -> None:
+def test_matches_agree_with_brute_force(seed: int, there: int, more: int, off: int) -> None:
     rng = np.random.default_rng(seed)
-    source = some(rng, there)
+    source = make_descriptors(rng, there)
     seen_again = (source[::-1].astype(int) + rng.integers(0, off + 1, source.shape)).clip(0, 255)
-    target = np.concatenate([seen_again.astype(np.uint8), some(rng, more)])
+    target = np.concatenate([seen_again.astype(np.uint8), make_descriptors(rng, more)])
     found = {(int(a), int(b)) for a, b in match_descriptors(source, target)}
     if there == 0 or len(target) < 2:
         assert not found
@@ -35,14 +35,14 @@ def test_matches_are_those_of_all_products(seed: int, there: int, more: int, off
     nearest, back = likeness.argmax(axis=1), likeness.argmax(axis=0)
     margin = np.sqrt(first.clip(0)) - 0.8 * np.sqrt(second)
     for one in range(there):
-        # Roots are rounded to a 16384th: what is as near as that to the rule may be either.
+        # The kernel rounds roots to 1/16384, so pairs this close to the ratio threshold may go either way.
         if abs(margin[one]) > 1e-3:
             is_match = margin[one] < 0 and back[nearest[one]] == one
             assert ((one, int(nearest[one])) in found) == is_match
 
 
 @pytest.mark.parametrize(("shape", "distinct"), [((3, 64), 0.8), ((3, 128), 0.0), ((3, 128), float("nan"))])
-def test_what_is_no_descriptor_is_refused(shape: tuple[int, int], distinct: float) -> None:
+def test_invalid_descriptors_are_refused(shape: tuple[int, int], distinct: float) -> None:
     with pytest.raises(ValueError, match=r"128 is expected|more than 0"):
         _kernels.match_descriptors(
             np.zeros(shape, np.uint8), np.zeros(shape, np.uint8), max_distance_ratio=distinct

@@ -1,4 +1,4 @@
-"""Projection of points to pixels, and pixels back to points."""
+"""Projection of points to pixels, and unprojection of pixels."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def test_unprojected_pixels_project_to_themselves() -> None:
     np.testing.assert_allclose(found, (columns, rows), atol=1e-9)
 
 
-def test_projection_is_that_of_the_camera_matrix() -> None:
+def test_projection_equals_the_camera_matrix() -> None:
     points = np.array([[0.1, -0.2, 1.5], [-1.0, 0.3, 2.0]])
     expected = points @ CAMERA.matrix.T
     np.testing.assert_allclose(np.stack(project(points, CAMERA), axis=1), expected[:, :2] / expected[:, 2:])

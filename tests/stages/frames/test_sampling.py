@@ -1,4 +1,4 @@
-"""Even sampling: no more indices than wanted, each once, from the first item to the last."""
+"""Even sampling: at most the requested number of indices, unique, from the first item to the last."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def test_indices_are_spread_evenly(count: int, max_count: int) -> None:
     steps = np.diff(indices)
     if len(steps):
         assert steps.min() >= 1
-        # Rounding moves each end of a step by half an item.
+        # Rounding moves each end of a step by up to half an item.
         assert np.ptp(steps) <= 2
 
 

@@ -1,4 +1,4 @@
-"""The server of a folder: it gives that folder to this machine, whatever is asked of it."""
+"""The folder server serves only that folder and only to this machine, for every request."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ SECRET = b"secret of somebody else"
 
 @pytest.fixture
 def server(tmp_path: Path) -> Iterator[FolderServer]:
-    """A server of a folder that has neighbours, links and things that are no files."""
+    """Start a server of a folder that has neighbours, links and special files."""
     folder = tmp_path / "shown"
     (folder / "tiles").mkdir(parents=True)
     (folder / "tileset.json").write_bytes(b'{"asset": {}}')
@@ -42,8 +42,8 @@ def server(tmp_path: Path) -> Iterator[FolderServer]:
         yield one
 
 
-def ask(server: FolderServer, request: bytes) -> tuple[int, dict[str, str], bytes]:
-    """Send bytes as they are; return the status, the headers and the body of the first answer."""
+def send_request(server: FolderServer, request: bytes) -> tuple[int, dict[str, str], bytes]:
+    """Send raw bytes; return status, headers and body of the first response."""
     with socket.create_connection(("127.0.0.1", server.server_port), timeout=20) as line:
         line.sendall(request)
         line.shutdown(socket.SHUT_WR)
@@ -58,13 +58,13 @@ def ask(server: FolderServer, request: bytes) -> tuple[int, dict[str, str], byte
     return int(words[1]), {k.lower(): v for k, _, v in (line.partition(": ") for line in lines)}, body
 
 
-def get(
+def get_path(
     server: FolderServer, path: str | bytes, *more: str, method: str = "GET", host: str | None = None
 ) -> tuple[int, dict[str, str], bytes]:
     host = f"127.0.0.1:{server.server_port}" if host is None else host
     path = path.encode("latin-1") if isinstance(path, str) else path
     lines = [f"Host: {host}", *more, "Connection: close"]
-    return ask(
+    return send_request(
         server, b"%s %s HTTP/1.1\r\n" % (method.encode(), path) + "\r\n".join(lines).encode() + b"\r\n\r\n"
     )
 
@@ -80,19 +80,19 @@ def get(
     ],
 )
 def test_files_of_the_folder_are_given(server: FolderServer, path: str, kind: str, content: bytes) -> None:
-    status, headers, body = get(server, path)
+    status, headers, body = get_path(server, path)
     assert (status, headers["content-type"], body) == (200, kind, content)
     assert headers["x-content-type-options"] == "nosniff"
-    status, headers, body = get(server, path, method="HEAD")
+    status, headers, body = get_path(server, path, method="HEAD")
     assert (status, int(headers["content-length"]), body) == (200, len(content), b"")
-    assert get(server, path, host=f"localhost:{server.server_port}")[0] == 200
+    assert get_path(server, path, host=f"localhost:{server.server_port}")[0] == 200
 
 
-def test_text_is_packed_for_who_can_unpack_it(server: FolderServer) -> None:
-    _, headers, body = get(server, "/tileset.json", "Accept-Encoding: gzip, br")
+def test_text_is_compressed_for_clients_that_accept_it(server: FolderServer) -> None:
+    _, headers, body = get_path(server, "/tileset.json", "Accept-Encoding: gzip, br")
     assert headers["content-encoding"] == "gzip"
     assert gzip.decompress(body) == b'{"asset": {}}'
-    assert "content-encoding" not in get(server, "/tiles/0.glb", "Accept-Encoding: gzip")[1]
+    assert "content-encoding" not in get_path(server, "/tiles/0.glb", "Accept-Encoding: gzip")[1]
 
 
 @pytest.mark.parametrize(
@@ -135,8 +135,8 @@ def test_text_is_packed_for_who_can_unpack_it(server: FolderServer) -> None:
         "/" + "a/" * 5000 + "b.json",
     ],
 )
-def test_no_path_leads_elsewhere(server: FolderServer, path: str, tmp_path: Path) -> None:
-    status, _, body = get(server, path.replace("{root}", str(tmp_path)))
+def test_no_path_leaves_the_folder(server: FolderServer, path: str, tmp_path: Path) -> None:
+    status, _, body = get_path(server, path.replace("{root}", str(tmp_path)))
     assert status == 404
     assert SECRET not in body
 
@@ -146,7 +146,7 @@ def test_no_path_leads_elsewhere(server: FolderServer, path: str, tmp_path: Path
     ["evil.example", "evil.example:{port}", "127.0.0.1", "127.0.0.1:1", "127.0.0.1.evil.example:{port}", ""],
 )
 def test_another_host_is_refused(server: FolderServer, host: str) -> None:
-    status, _, body = get(server, "/tileset.json", host=host.replace("{port}", str(server.server_port)))
+    status, _, body = get_path(server, "/tileset.json", host=host.replace("{port}", str(server.server_port)))
     assert status == 421
     assert b"asset" not in body
 
@@ -161,7 +161,7 @@ def test_no_host_two_hosts_and_other_addresses_are_refused(server: FolderServer)
         b"GET http://evil.example/tileset.json HTTP/1.1\r\nHost: %s\r\n\r\n" % own,
         b"GET tileset.json HTTP/1.1\r\nHost: %s\r\n\r\n" % own,
     ):
-        status, _, body = ask(server, request)
+        status, _, body = send_request(server, request)
         assert status != 200
         assert b"asset" not in body
 
@@ -169,19 +169,19 @@ def test_no_host_two_hosts_and_other_addresses_are_refused(server: FolderServer)
 @pytest.mark.parametrize("method", ["POST", "PUT", "DELETE", "OPTIONS", "PATCH", "CONNECT", "TRACE", "get"])
 def test_nothing_but_get_and_head_is_answered(server: FolderServer, method: str, tmp_path: Path) -> None:
     before = sorted(tmp_path.rglob("*"))
-    assert get(server, "/tileset.json", method=method)[0] == 501
+    assert get_path(server, "/tileset.json", method=method)[0] == 501
     assert sorted(tmp_path.rglob("*")) == before
 
 
-def test_a_body_is_not_taken_for_a_request(server: FolderServer) -> None:
+def test_a_body_is_not_parsed_as_a_request(server: FolderServer) -> None:
     own = f"Host: 127.0.0.1:{server.server_port}"
     hidden = f"GET /tileset.json HTTP/1.1\r\n{own}\r\n\r\n".encode()
     head = f"GET /tiles/0.glb HTTP/1.1\r\n{own}\r\nContent-Length: {len(hidden)}\r\n\r\n"
-    status, _, body = ask(server, head.encode() + hidden)
+    status, _, body = send_request(server, head.encode() + hidden)
     assert (status, body) == (200, b"glTF")
 
 
-def test_nonsense_ends_no_server(server: FolderServer) -> None:
+def test_invalid_requests_do_not_stop_the_server(server: FolderServer) -> None:
     for nonsense in (
         b"",
         b"\0" * 100,
@@ -190,10 +190,10 @@ def test_nonsense_ends_no_server(server: FolderServer) -> None:
         b"GET /\r\nHost: a\r\n\r\n",
     ):
         with contextlib.suppress(ConnectionError):
-            assert ask(server, nonsense)[0] != 200
-    # One that says nothing keeps no other waiting.
+            assert send_request(server, nonsense)[0] != 200
+    # A silent connection must not block others.
     with socket.create_connection(("127.0.0.1", server.server_port)):
-        assert get(server, "/tiles/0.glb")[2] == b"glTF"
+        assert get_path(server, "/tiles/0.glb")[2] == b"glTF"
 
 
 def test_only_this_machine_is_answered(server: FolderServer) -> None:
@@ -201,7 +201,7 @@ def test_only_this_machine_is_answered(server: FolderServer) -> None:
     assert server.address == f"http://127.0.0.1:{server.server_port}/"
 
 
-def test_what_cannot_be_served_is_told(server: FolderServer, tmp_path: Path) -> None:
+def test_a_folder_that_cannot_be_served_is_an_error(server: FolderServer, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="there is no such folder"):
         FolderServer(tmp_path / "absent")
     with pytest.raises(StageError, match=f"cannot listen on port {server.server_port}: "):

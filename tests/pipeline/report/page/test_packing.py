@@ -1,4 +1,7 @@
-"""A page of at most so many bytes: what is beside the first model is made lighter first, with its looks."""
+"""Pages with a size limit:
+
+additional models are simplified before the main model, together with their colormaps.
+"""
 
 from __future__ import annotations
 
@@ -15,7 +18,7 @@ from scanloom.stages.surface.mesh import Mesh
 SCALE = PageScale("mm", -1.0, 1.0, 0.1, ["rgb(0, 0, 0)", "rgb(9, 9, 9)"], [0.5, 0.5])
 
 
-def models() -> dict[str, PageModelSource]:
+def make_models() -> dict[str, PageModelSource]:
     main = sheet(60)
     paint = VertexColormap(np.linspace(-1, 1, len(main.vertices)), SCALE, "of it")
     return {
@@ -24,13 +27,13 @@ def models() -> dict[str, PageModelSource]:
     }
 
 
-def triangles(page: bytes) -> dict[str, int]:
+def read_triangle_counts(page: bytes) -> dict[str, int]:
     return {one["name"]: one["triangles"] for one in read_page_content(page)["models"]}
 
 
-def test_where_there_is_room_nothing_is_lost() -> None:
-    page = make_packed_page("t", models(), 5_000_000)
-    assert triangles(page) == {"main": 7200, "beside": 5120, "look": 7200}
+def test_below_the_size_limit_nothing_is_simplified() -> None:
+    page = make_packed_page("t", make_models(), 5_000_000)
+    assert read_triangle_counts(page) == {"main": 7200, "beside": 5120, "look": 7200}
     told = {one["name"]: one for one in read_page_content(page)["models"]}
     look = told["look"]
     assert (look["look"], look["file"], look["note"]) == (0, told["main"]["file"], "of it")
@@ -38,23 +41,23 @@ def test_where_there_is_room_nothing_is_lost() -> None:
     assert len(read_page_content(page)["files"]) == 2
 
 
-def test_models_are_made_lighter_until_it_fits_the_first_last() -> None:
-    complete = len(make_packed_page("t", models(), 5_000_000))
-    page = make_packed_page("t", models(), complete - 5_000)
+def test_models_are_simplified_to_fit_the_main_model_last() -> None:
+    complete = len(make_packed_page("t", make_models(), 5_000_000))
+    page = make_packed_page("t", make_models(), complete - 5_000)
     assert len(page) <= complete - 5_000
-    assert triangles(page)["main"] == 7200
-    assert 2_000 <= triangles(page)["beside"] < 5120
-    smaller = make_packed_page("t", models(), complete - 40_000)
+    assert read_triangle_counts(page)["main"] == 7200
+    assert 2_000 <= read_triangle_counts(page)["beside"] < 5120
+    smaller = make_packed_page("t", make_models(), complete - 40_000)
     assert len(smaller) <= complete - 40_000
-    assert triangles(smaller)["main"] == triangles(smaller)["look"] < 7200
+    assert read_triangle_counts(smaller)["main"] == read_triangle_counts(smaller)["look"] < 7200
     told = {one["name"]: one for one in read_page_content(smaller)["models"]}
     assert told["main"]["note"] == "first, reduced from 7,200 for this page"
     assert told["look"]["note"] == "of it, reduced from 7,200 for this page"
-    assert smaller == make_packed_page("t", models(), complete - 40_000)
+    assert smaller == make_packed_page("t", make_models(), complete - 40_000)
 
 
-def test_what_gets_no_lighter_leaves_it_to_the_first() -> None:
-    # Of loose tetrahedra none has a triangle to spare.
+def test_the_main_model_is_simplified_if_others_cannot_be() -> None:
+    # Disjoint tetrahedra cannot be simplified.
     rng = np.random.default_rng(0)
     corners = (rng.uniform(-1, 1, (1500, 1, 3)) + rng.normal(0, 0.01, (1500, 4, 3))).reshape(-1, 3)
     sides = np.array([(0, 2, 1), (0, 1, 3), (1, 2, 3), (0, 3, 2)])
@@ -63,13 +66,13 @@ def test_what_gets_no_lighter_leaves_it_to_the_first() -> None:
     most = len(make_packed_page("t", both, 5_000_000)) - 5_000
     page = make_packed_page("t", both, most)
     assert len(page) <= most
-    assert triangles(page)["loose"] == 6000
-    assert 2_000 < triangles(page)["main"] < 28_800
+    assert read_triangle_counts(page)["loose"] == 6000
+    assert 2_000 < read_triangle_counts(page)["main"] < 28_800
 
 
-def test_a_page_that_cannot_be_small_enough_says_so() -> None:
+def test_a_page_above_the_size_limit_is_reported() -> None:
     with collecting() as diagnostics:
-        page = make_packed_page("t", models(), 1000)
+        page = make_packed_page("t", make_models(), 1000)
     assert len(page) > 1000
     assert [str(one) for one in diagnostics] == [
         f"the page has {len(page):,} bytes, more than 1,000, and cannot be reduced further."
@@ -77,7 +80,7 @@ def test_a_page_that_cannot_be_small_enough_says_so() -> None:
 
 
 @pytest.mark.parametrize("looks", [0, 4])
-def test_a_model_has_as_many_looks_as_there_are(looks: int) -> None:
+def test_a_model_has_every_given_colormap(looks: int) -> None:
     mesh = sheet(4)
     paints = {f"look {k}": VertexColormap(np.zeros(len(mesh.vertices)), SCALE) for k in range(looks)}
     told = read_page_content(

@@ -1,4 +1,4 @@
-"""A mesh in a notebook: a page in a frame, which draws, and cannot get at the notebook."""
+"""A mesh in a notebook: a page in a sandboxed iframe that can draw but cannot access the notebook."""
 
 from __future__ import annotations
 
@@ -30,14 +30,14 @@ def test_the_frame_holds_the_page_and_nothing_else(page: Page) -> None:
     assert "height:300px" in html
 
 
-def test_it_prints_as_a_line(page: Page) -> None:
+def test_repr_is_one_line(page: Page) -> None:
     text = repr(show(sheet(4)))
     assert text.startswith("Page(mesh, 1.")
     assert 'save("FILE.html")' in text
     assert len(repr(page)) < 300
 
 
-def test_a_notebook_takes_it() -> None:
+def test_a_notebook_displays_the_page() -> None:
     from IPython.core.interactiveshell import InteractiveShell
 
     data, _ = InteractiveShell.instance().display_formatter.format(show(sheet(4)))
@@ -46,7 +46,7 @@ def test_a_notebook_takes_it() -> None:
 
 
 @pytest.mark.slow
-def test_it_draws_in_its_frame_and_cannot_get_out(page: Page, tmp_path: Path) -> None:
+def test_the_page_draws_in_its_frame_and_cannot_leave_it(page: Page, tmp_path: Path) -> None:
     (tmp_path / "notebook.html").write_text(f"<!doctype html><body>{page._repr_html_()}</body>")
     said: list[str] = []
     with launch_browser() as chromium:
@@ -66,7 +66,7 @@ def test_it_draws_in_its_frame_and_cannot_get_out(page: Page, tmp_path: Path) ->
     assert said == []
 
 
-def test_what_is_up_is_that_of_the_mesh_or_as_it_is_said() -> None:
+def test_the_up_direction_is_given_or_read_from_the_mesh() -> None:
     def facing(html: bytes) -> list[float]:
         found = re.search(rb'"facing": (\[[^\]]*\])', html)
         assert found is not None
@@ -78,7 +78,7 @@ def test_what_is_up_is_that_of_the_mesh_or_as_it_is_said() -> None:
     assert facing(show(mesh.with_(up=(0.0, 0.0, -1.0)), up="+z").html)[2] > 0.99
 
 
-def test_other_libraries_meshes_and_results_are_taken(tmp_path: Path) -> None:
+def test_meshes_of_other_libraries_and_results_can_be_shown(tmp_path: Path) -> None:
     import trimesh
 
     made = trimesh.creation.box()
@@ -109,6 +109,8 @@ def test_a_page_keeps_to_its_size() -> None:
         (sheet(2), {"height": 0}, UsageError, "height is 0 px"),
     ],
 )
-def test_what_cannot_be_shown_is_said(thing: object, how: dict[str, object], error: type, told: str) -> None:
+def test_showing_unsupported_objects_is_an_error(
+    thing: object, how: dict[str, object], error: type, told: str
+) -> None:
     with pytest.raises(error, match=told):
         show(thing, **how)

@@ -1,4 +1,7 @@
-"""A page of models in one file: opens from a disk, asks nobody, stands upright, measures."""
+"""A page of models in one file:
+
+it works from a local disk without requests, shows the models upright, and measures.
+"""
 
 from __future__ import annotations
 
@@ -35,7 +38,8 @@ UP = (0.0, -1.0, 0.0)
 EVIL = "</script><script>window.evil = 1</script><!--"
 
 
-# Of the looks: low values are red, high ones blue; or green and white, for all eyes.
+# Colour scales: low values are red, high values blue; the second set, green and white, is for colour
+# blindness.
 VALUES = PageScale(
     "photos", -0.5, 1.5, None, ["rgb(220, 0, 0)", "rgb(0, 0, 220)"], [0.5, 0.5],
     ["rgb(0, 220, 0)", "rgb(220, 220, 220)"], [0, 1],
@@ -43,30 +47,30 @@ VALUES = PageScale(
 SCALE = PageScale("mm", -2.0, 2.0, 0.5, ["rgb(1, 2, 3)", "rgb(4, 5, 6)"], [0.25, 0.75])
 
 
-def camera_at(frame: str, eye: tuple[float, float, float], photo: bytes | None) -> PageCamera:
-    """Return a camera that looks along +y of the upright frame; 100 × 80 pixels, to 45° at its sides."""
+def make_camera(frame: str, eye: tuple[float, float, float], photo: bytes | None) -> PageCamera:
+    """Make a camera that faces +y of the upright frame; 100 × 80 pixels, 90° field of view."""
     rows = [[1, 0, 0, eye[0]], [0, 0, 1, eye[1]], [0, -1, 0, eye[2]]]
     return PageCamera(
         frame, [float(x) for row in rows for x in row], [100, 80], [50, 50], [49.5, 39.5], photo
     )
 
 
-def half_green() -> bytes:
-    """Return a photo, white but for its left half, which is green; smaller than its camera's image."""
+def make_half_green_photo() -> bytes:
+    """Make a white photo whose left half is green, smaller than the image size of its camera."""
     pixels = np.full((40, 50, 3), 255, np.uint8)
     pixels[:, :25] = (0, 200, 0)
     return cv2.imencode(".jpg", pixels)[1].tobytes()
 
 
 CAMERAS = [
-    camera_at(EVIL, (0, -3, 0), half_green()),
-    camera_at("second", (2, -3, 0), None),
-    replace(camera_at("third", (2, -4, 0.5), half_green()), mark="held out"),
+    make_camera(EVIL, (0, -3, 0), make_half_green_photo()),
+    make_camera("second", (2, -3, 0), None),
+    replace(make_camera("third", (2, -4, 0.5), make_half_green_photo()), mark="held out"),
 ]
 
 
-def body(color: tuple[int, int, int]) -> Mesh:
-    """Return a box of 3 × 2 × 1 m on its side, in one colour, with a tower: no two sides look alike."""
+def make_body(color: tuple[int, int, int]) -> Mesh:
+    """Make a single-colour box of 3 × 2 × 1 m on its side, with a tower; all its views differ."""
     import trimesh
 
     parts = [
@@ -80,9 +84,9 @@ def body(color: tuple[int, int, int]) -> Mesh:
     return Mesh(np.array(made.vertices), np.array(made.faces, np.int32), colors, up=UP)
 
 
-def checked() -> Mesh:
-    """Return the body with an image of 16 colours, as seen from the front, and blue vertices."""
-    mesh = body((20, 20, 200))
+def make_checked_body() -> Mesh:
+    """Make the box with an image of 16 colours, projected from the front, and blue vertex colours."""
+    mesh = make_body((20, 20, 200))
     pixels = np.random.default_rng(5).integers(0, 255, (4, 4, 3)).astype(np.uint8)
     pixels = pixels.repeat(16, 0).repeat(16, 1)
     flat = mesh.vertices[mesh.triangles][..., :2]
@@ -96,10 +100,10 @@ def page_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("page")
     models = []
     for name, color in (("red", (200, 20, 20)), ("blue", (20, 20, 200))):
-        export(body(color), folder / "m.glb", preset("web"))
+        export(make_body(color), folder / "m.glb", preset("web"))
         models.append(PageModel(name, (folder / "m.glb").read_bytes(), 24, scale=SCALE if models else None))
-    mesh = checked()
-    # The one of all that look right is high.
+    mesh = make_checked_body()
+    # The second of the four value channels is high on the right side.
     values = np.zeros((len(mesh.vertices), 4), np.uint8)
     values[:, 1] = np.where(mesh.vertices[:, 0] > 0, 255, 0)
     write_gltf(folder / "m.glb", mesh, compress="meshopt", shading="unlit", values=values)
@@ -134,13 +138,13 @@ def page(chromium: Any, page_file: Path) -> Iterator[Any]:
     opened.wait_for_selector("#message", state="hidden", timeout=60_000)
     yield opened
     assert said == []
-    # Itself, and what is inside of it.
+    # The page itself and its embedded files.
     assert [url for url in asked if not url.startswith(("data:", "blob:"))] == [page_file.as_uri()]
     opened.close()
 
 
 def wait_for(page: Any, what: str) -> None:
-    """Wait until an expression holds; the page forbids what playwright would wait with."""
+    """Wait until an expression holds; the content security policy blocks playwright's own waiting."""
     for _ in range(300):
         if page.evaluate(what):
             return
@@ -148,33 +152,33 @@ def wait_for(page: Any, what: str) -> None:
     pytest.fail(what)
 
 
-def image(page: Any) -> np.ndarray:
+def take_screenshot(page: Any) -> np.ndarray:
     page.evaluate("scanloom.drawn()")
     data = page.locator("#picture").screenshot()
     return cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)[:, :, ::-1].astype(int)
 
 
-def red(pixels: np.ndarray) -> np.ndarray:
+def find_red(pixels: np.ndarray) -> np.ndarray:
     return np.asarray(pixels[..., 0] - pixels[..., 2] > 40)
 
 
-def green(pixels: np.ndarray) -> np.ndarray:
+def find_green(pixels: np.ndarray) -> np.ndarray:
     return np.asarray(pixels[..., 1] - pixels[..., [0, 2]].max(axis=2) > 60)
 
 
-def blue(pixels: np.ndarray) -> np.ndarray:
+def find_blue(pixels: np.ndarray) -> np.ndarray:
     return np.asarray(pixels[..., 2] - pixels[..., 0] > 40)
 
 
-@pytest.mark.parametrize(("number", "mesh"), [(0, body((200, 20, 20))), (2, checked())])
-def test_it_is_seen_as_our_own_renderer_sees_it(page: Any, number: int, mesh: Mesh) -> None:
+@pytest.mark.parametrize(("number", "mesh"), [(0, make_body((200, 20, 20))), (2, make_checked_body())])
+def test_the_drawn_model_matches_our_renderer(page: Any, number: int, mesh: Mesh) -> None:
     page.add_style_tag(
         content="form, #scale { display: none !important } #stage { height: 360px !important }"
     )
     page.evaluate(f"scanloom.show({number})")
     eye, target = np.array((4.0, -5.0, 3.0)), np.array((0.2, 0.1, 0.2))
     page.evaluate("view => scanloom.look(view)", {"eye": eye.tolist(), "target": target.tolist(), "fov": 50})
-    seen = image(page)
+    seen = take_screenshot(page)
     height, width = seen.shape[:2]
     forward = (target - eye) / np.linalg.norm(target - eye)
     right = np.cross(forward, (0, 0, 1))
@@ -182,7 +186,7 @@ def test_it_is_seen_as_our_own_renderer_sees_it(page: Any, number: int, mesh: Me
     pose = np.eye(4)
     pose[:3, :3] = np.stack([right, np.cross(forward, right), forward], axis=1)
     pose[:3, 3] = eye
-    # From the upright frame back to the axes of the scan.
+    # From the upright frame to the axes of the scan.
     pose[:3] = rotate_to_z(np.array(UP)).T @ pose[:3]
     focal = height / 2 / np.tan(np.radians(25))
     camera = Camera(width, height, focal, focal, (width - 1) / 2, (height - 1) / 2)
@@ -192,7 +196,8 @@ def test_it_is_seen_as_our_own_renderer_sees_it(page: Any, number: int, mesh: Me
     ours = (drawn != render(nothing, viewpoint)).any(axis=2)
     theirs = (seen != seen[0, 0]).any(axis=2)
     assert ours.mean() > 0.05
-    # But for the pixels along outlines, in place and in colour; and along those of the image's pixels.
+    # Except for pixels along outlines, whose shape and colour may differ; and along the borders of texture
+    # pixels.
     assert (ours & theirs).sum() / (ours | theirs).sum() > 0.97
     off = np.abs(drawn - seen).max(axis=2)[ours & theirs]
     assert (off <= 4).mean() > (0.97 if number == 0 else 0.7)
@@ -200,17 +205,17 @@ def test_it_is_seen_as_our_own_renderer_sees_it(page: Any, number: int, mesh: Me
 
 
 def test_models_modes_keys_and_measuring(page: Any) -> None:
-    # Above the bar, which has a blue of its own.
-    assert red(image(page)[:ABOVE]).any()
+    # Crop to the part above the toolbar, which contains blue itself.
+    assert find_red(take_screenshot(page)[:ABOVE]).any()
     page.keyboard.press("2")
     wait_for(page, "scanloom.settings().model === 1")
-    assert blue(image(page)[:ABOVE]).any()
-    assert not red(image(page)[:ABOVE]).any()
+    assert find_blue(take_screenshot(page)[:ABOVE]).any()
+    assert not find_red(take_screenshot(page)[:ABOVE]).any()
     page.select_option("#mode", "clay")
-    assert not blue(image(page)[:ABOVE]).any()
+    assert not find_blue(take_screenshot(page)[:ABOVE]).any()
     page.select_option("#mode", "colors")
     page.click("#measure")
-    # Across the 3 m of the front, at its two lower corners from straight ahead.
+    # Measure the front, 3 m wide, between its two lower corners.
     page.evaluate("scanloom.look({ eye: [0, -12, 0], target: [0, 0, 0], fov: 30 })")
     page.evaluate("scanloom.drawn()")
     canvas = page.evaluate(
@@ -226,8 +231,8 @@ def test_models_modes_keys_and_measuring(page: Any) -> None:
     assert page.inner_text("#scale").split()[1] in ("m", "cm", "mm")
 
 
-def test_lengths_are_in_units_where_they_are_no_metres(chromium: Any, tmp_path: Path) -> None:
-    export(body((200, 20, 20)), tmp_path / "m.glb", preset("web"))
+def test_lengths_are_in_units_without_metric_scale(chromium: Any, tmp_path: Path) -> None:
+    export(make_body((200, 20, 20)), tmp_path / "m.glb", preset("web"))
     models = [PageModel("red", (tmp_path / "m.glb").read_bytes(), 24)]
     (tmp_path / "page.html").write_bytes(make_single_file_page("units", models, {"unit": "units"}))
     page = chromium.new_page(viewport={"width": WIDTH, "height": HEIGHT})
@@ -245,7 +250,7 @@ def test_lengths_are_in_units_where_they_are_no_metres(chromium: Any, tmp_path: 
     page.close()
 
 
-def test_places_are_flown_to_and_words_are_no_html(page: Any) -> None:
+def test_table_rows_move_the_camera_and_texts_are_escaped(page: Any) -> None:
     assert page.evaluate("window.evil") is None
     assert page.title() == EVIL
     assert page.inner_text(".warning") == EVIL
@@ -257,8 +262,8 @@ def test_places_are_flown_to_and_words_are_no_html(page: Any) -> None:
     assert np.linalg.norm(np.array(after["eye"]) - after["target"]) == pytest.approx(2, rel=0.01)
 
 
-def columns(seen: np.ndarray) -> tuple[int, int]:
-    """Return the first and last column in which something is seen."""
+def find_columns(seen: np.ndarray) -> tuple[int, int]:
+    """Find the first and last column of a mask."""
     found = np.flatnonzero(seen.any(axis=0))
     return int(found[0]), int(found[-1])
 
@@ -269,36 +274,36 @@ def test_two_models_meet_at_the_divider(page: Any) -> None:
     wait_for(page, "!document.getElementById('divider').hidden")
     for share in (0.5, 0.3):
         page.evaluate("share => scanloom.divide(share)", share)
-        seen = image(page)[:ABOVE]
+        seen = take_screenshot(page)[:ABOVE]
         edge = share * seen.shape[1]
-        assert columns(blue(seen))[1] == pytest.approx(edge, abs=12)
-        assert columns(red(seen))[0] == pytest.approx(edge, abs=12)
+        assert find_columns(find_blue(seen))[1] == pytest.approx(edge, abs=12)
+        assert find_columns(find_red(seen))[0] == pytest.approx(edge, abs=12)
     page.locator("#divider").focus()
     page.keyboard.press("ArrowRight")
     assert page.get_attribute("#divider", "aria-valuenow") == "32"
     assert "left blue, right red" in page.inner_text("#metrics")
     page.select_option("#beside", "none")
-    assert not blue(image(page)[:ABOVE]).any()
+    assert not find_blue(take_screenshot(page)[:ABOVE]).any()
 
 
-def test_a_cut_leaves_out_what_is_beyond_it(page: Any) -> None:
+def test_a_cut_hides_and_disables_geometry_beyond_it(page: Any) -> None:
     page.evaluate("scanloom.look({ eye: [0, -4, 0], target: [0, 0, 0], fov: 50 })")
-    whole = columns(red(image(page)[:ABOVE]))
+    whole = find_columns(find_red(take_screenshot(page)[:ABOVE]))
     page.select_option("#cut", "x")
-    cut = columns(red(image(page)[:ABOVE]))
+    cut = find_columns(find_red(take_screenshot(page)[:ABOVE]))
     assert cut[0] == whole[0]
-    # Half the box of 3 m, from the front: in its middle.
+    # The front view shows half of the box, which is 3 m wide.
     assert cut[1] == pytest.approx(sum(whole) / 2, abs=10)
     page.select_option("#cut", "z")
-    # Below the lowest side, which lies in the plane at 0.
+    # Below the lowest side, which is in the plane at 0.
     page.evaluate("scanloom.set({ at: -0.01 })")
-    assert not red(image(page)[:ABOVE]).any()
-    # What is cut away is not measured, either.
+    assert not find_red(take_screenshot(page)[:ABOVE]).any()
+    # Geometry that is cut away cannot be measured.
     page.evaluate("scanloom.set({ measuring: true })")
     assert not page.evaluate("scanloom.pick(240, 100)")
 
 
-def test_a_photo_lies_over_the_model_where_it_was_taken(page: Any) -> None:
+def test_a_photo_overlays_the_model_in_its_pose(page: Any) -> None:
     page.add_style_tag(
         content="form, #scale { display: none !important } #stage { height: 360px !important }"
     )
@@ -311,52 +316,52 @@ def test_a_photo_lies_over_the_model_where_it_was_taken(page: Any) -> None:
     np.testing.assert_allclose(view["target"][::2], (0, 0), atol=1e-6)
     page.evaluate("scanloom.set({ opacity: 1 })")
     wait_for(page, "scanloom.drawn().then(() => true)")
-    seen = image(page)
+    seen = take_screenshot(page)
     height, width = seen.shape[:2]
     focal = height / 2 / np.tan(np.radians(view["fov"] / 2))
-    left, right = columns(green(seen))
+    left, right = find_columns(find_green(seen))
     assert left == pytest.approx(width / 2 - focal, abs=4)
     assert right == pytest.approx(width / 2, abs=4)
-    rows = np.flatnonzero(green(seen).any(axis=1))
+    rows = np.flatnonzero(find_green(seen).any(axis=1))
     assert np.ptp(rows) == pytest.approx(2 * 0.8 * focal, abs=6)
     page.evaluate("scanloom.set({ opacity: 0 })")
-    assert not green(image(page)).any()
-    assert red(image(page)).any()
+    assert not find_green(take_screenshot(page)).any()
+    assert find_red(take_screenshot(page)).any()
     page.keyboard.press("Escape")
     wait_for(page, "scanloom.settings().photo === null")
     assert page.evaluate("scanloom.view().fov") == 50
 
 
-def test_looks_of_one_model_share_its_shape(page: Any) -> None:
+def test_colormaps_of_a_model_share_its_geometry(page: Any) -> None:
     names = page.evaluate("[...document.getElementById('model').options].map((one) => one.text)")
     assert names == ["red", "blue", "checked", "values", "vertex colours"]
-    # Which has these colours, too.
+    # Hide the legend, which contains the same colours.
     page.add_style_tag(content="#legend { display: none !important }")
     page.evaluate("scanloom.look({ eye: [0, -6, 0], target: [0, 0, 0], fov: 50 })")
     page.evaluate("scanloom.show(3)")
-    seen = image(page)[:ABOVE]
-    (first, last), (start, end) = columns(red(seen)), columns(blue(seen))
+    seen = take_screenshot(page)[:ABOVE]
+    (first, last), (start, end) = find_columns(find_red(seen)), find_columns(find_blue(seen))
     assert first < last < start < end
     page.evaluate("scanloom.show(4)")
-    seen = image(page)[:ABOVE]
-    assert not red(seen).any()
-    assert columns(blue(seen)) == pytest.approx((first, end), abs=2)
+    seen = take_screenshot(page)[:ABOVE]
+    assert not find_red(seen).any()
+    assert find_columns(find_blue(seen)) == pytest.approx((first, end), abs=2)
     page.evaluate("scanloom.show(2)")
-    assert len(np.unique(image(page)[:ABOVE].reshape(-1, 3), axis=0)) > 16
-    # One beside the other.
+    assert len(np.unique(take_screenshot(page)[:ABOVE].reshape(-1, 3), axis=0)) > 16
+    # Two models side by side.
     page.evaluate("scanloom.showBeside(4)")
-    assert columns(blue(image(page)[:ABOVE]))[0] == pytest.approx(first, abs=2)
+    assert find_columns(find_blue(take_screenshot(page)[:ABOVE]))[0] == pytest.approx(first, abs=2)
 
 
-def test_a_scale_has_colours_for_all_eyes(page: Any) -> None:
+def test_a_scale_has_colours_for_colour_blindness(page: Any) -> None:
     assert page.locator("#safe").is_hidden()
     page.evaluate("scanloom.show(3)")
     page.evaluate("scanloom.look({ eye: [0, -6, 0], target: [0, 0, 0], fov: 50 })")
-    assert red(image(page)[:ABOVE]).any()
+    assert find_red(take_screenshot(page)[:ABOVE]).any()
     page.locator("#safe").check()
-    seen = image(page)[:ABOVE]
-    assert green(seen).any()
-    assert not red(seen).any()
+    seen = take_screenshot(page)[:ABOVE]
+    assert find_green(seen).any()
+    assert not find_red(seen).any()
     swatches = "[...document.querySelectorAll('#legend .swatch')].map((one) => one.style.background)"
     assert page.evaluate(swatches) == VALUES.safe[::-1]
     assert [mark for mark in page.inner_text("#legend").split() if mark != "photos"] == ["0", "1"]
@@ -364,7 +369,7 @@ def test_a_scale_has_colours_for_all_eyes(page: Any) -> None:
     assert page.locator("#safe").is_hidden()
 
 
-def test_photos_in_a_row_say_what_became_of_their_frames_and_are_flown_to(page: Any) -> None:
+def test_photos_show_the_status_of_their_frames_and_move_the_camera(page: Any) -> None:
     photos = page.locator(".frames button")
     assert photos.count() == 2
     assert photos.nth(0).inner_text() == EVIL
@@ -375,7 +380,7 @@ def test_photos_in_a_row_say_what_became_of_their_frames_and_are_flown_to(page: 
     np.testing.assert_allclose(page.evaluate("scanloom.view()")["eye"], (2, -4, 0.5), atol=1e-6)
 
 
-def test_a_text_is_copied_or_chosen(page: Any) -> None:
+def test_a_text_is_copied_or_selected(page: Any) -> None:
     page.click("summary")
     page.get_by_role("button", name="copy").click()
     copied = "document.querySelector('details button').textContent === 'copied'"
@@ -383,7 +388,7 @@ def test_a_text_is_copied_or_chosen(page: Any) -> None:
     assert page.inner_text("pre") == EVIL
 
 
-def test_every_control_has_a_name_and_shows_where_the_keyboard_is(page: Any) -> None:
+def test_every_control_has_a_name_and_a_visible_focus(page: Any) -> None:
     page.select_option("#cut", "x")
     page.evaluate("scanloom.showPhoto(0)")
     page.evaluate("scanloom.show(3)")
@@ -403,12 +408,12 @@ def test_every_control_has_a_name_and_shows_where_the_keyboard_is(page: Any) -> 
     assert len(found) > 15
     assert [one for one in found if not one[1] or not one[2]] == []
     assert page.inner_text("h1") == EVIL
-    # Every image that says something says it in words, too.
+    # Every image with a meaning has a text alternative.
     assert page.evaluate("[...document.images].every((one) => one.hasAttribute('alt'))")
     assert page.evaluate("document.documentElement.lang") == "en"
 
 
-def test_cameras_from_above_and_their_photos_are_chosen_by_keys(page: Any) -> None:
+def test_cameras_on_the_plan_and_their_photos_are_selected_by_keys(page: Any) -> None:
     circles = page.locator(".plan circle")
     assert circles.count() == 3
     buttons = page.locator(".plan circle[role=button]")
@@ -425,7 +430,7 @@ def test_cameras_from_above_and_their_photos_are_chosen_by_keys(page: Any) -> No
     assert page.locator("#photo option").count() == 3
 
 
-def test_colours_that_stand_for_something_have_a_scale(page: Any) -> None:
+def test_colours_with_a_meaning_have_a_scale(page: Any) -> None:
     assert page.locator("#legend").is_hidden()
     page.keyboard.press("2")
     wait_for(page, "!document.getElementById('legend').hidden")
@@ -433,14 +438,14 @@ def test_colours_that_stand_for_something_have_a_scale(page: Any) -> None:
     assert words[0] == "mm"
     assert {"+2", "-2", "+0.5", "-0.5"} <= set(words)
     bars = page.locator("#legend .share")
-    # Highest first.
+    # Highest share first.
     assert bars.nth(0).bounding_box()["width"] == pytest.approx(
         3 * bars.nth(1).bounding_box()["width"], rel=0.05
     )
 
 
 @pytest.mark.parametrize(("width", "scheme"), [(360, "dark"), (1400, "light")])
-def test_narrow_and_wide_fit(chromium: Any, page_file: Path, width: int, scheme: str) -> None:
+def test_narrow_and_wide_windows_fit(chromium: Any, page_file: Path, width: int, scheme: str) -> None:
     opened = chromium.new_page(viewport={"width": width, "height": 700}, color_scheme=scheme)
     opened.goto(page_file.as_uri())
     opened.wait_for_selector("#message", state="hidden", timeout=60_000)
@@ -454,7 +459,7 @@ def test_narrow_and_wide_fit(chromium: Any, page_file: Path, width: int, scheme:
     opened.close()
 
 
-def test_what_was_seen_from_one_side_is_looked_at_from_there() -> None:
+def test_the_mean_normal_of_a_wall_faces_its_scanned_side() -> None:
     wall = Mesh(np.array([[0, 0, 0], [1, 0, 0], [0, 0, 1.0]]), np.array([[0, 1, 2]], np.int32))
     assert estimate_mean_normal(wall, np.eye(3)) == [0, -1, 0]
-    assert estimate_mean_normal(body((1, 2, 3)), np.eye(3)) is None
+    assert estimate_mean_normal(make_body((1, 2, 3)), np.eye(3)) is None

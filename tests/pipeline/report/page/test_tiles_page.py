@@ -1,4 +1,7 @@
-"""The page of tiles in a browser: whole from far, near and in mixed levels, and it asks nobody else."""
+"""The page of tiles in a browser:
+
+no holes from far, from near and in mixed levels, and no external requests.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +27,7 @@ from scanloom.stages.scans.model.scan import Camera
 WIDTH, HEIGHT = 480, 360
 COMPRESS = Path(__file__).resolve().parents[3] / "made" / "compress_tiles.mjs"
 PAPER = {"light": (0xF4, 0xF5, 0xF7), "dark": (0x17, 0x1B, 0x21)}
-# Where the camera stands, and how many pixels a tile's error may have.
+# Eye, target, and the screen-space error limit in pixels.
 VIEWS = {
     "far": ((2.0, -15.0, 9.0), (0.0, 0.0, 0.0), 8.0),
     "near": ((5.5, -2.5, 1.5), (4.5, 0.0, 0.0), 1.0),
@@ -37,8 +40,8 @@ pytestmark = pytest.mark.slow
 Mask = NDArray[np.bool_]
 
 
-def long_ring() -> Mesh:
-    """Return a closed mesh, long along x, in colours that no paper has."""
+def make_long_ring() -> Mesh:
+    """Make a closed mesh, long along x, whose colours differ from both page backgrounds."""
     import trimesh
 
     made = trimesh.creation.torus(1.0, 0.4, major_sections=64, minor_sections=24)
@@ -52,7 +55,7 @@ def long_ring() -> Mesh:
 @pytest.fixture(scope="module")
 def tiles(tmp_path_factory: pytest.TempPathFactory) -> Path:
     outdir = tmp_path_factory.mktemp("page") / "tiles"
-    hierarchy = lod.build(long_ring(), cell_triangles=256, root_triangles=200, ratio=3.0, threads=2)
+    hierarchy = lod.build(make_long_ring(), cell_triangles=256, root_triangles=200, ratio=3.0, threads=2)
     lod.write_tiles(hierarchy, outdir, up="+z")
     write_tileset_page(outdir)
     return outdir
@@ -60,9 +63,9 @@ def tiles(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def textured_tiles(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Tiles of a grey ring whose images are green."""
+    """Make tiles of a grey ring with green images."""
     outdir = tmp_path_factory.mktemp("textured") / "tiles"
-    ring = long_ring()
+    ring = make_long_ring()
     grey = ring.with_(colors=np.full((len(ring.vertices), 3), 128, np.uint8))
     green = ring.with_(colors=np.tile(np.array(GREEN, np.uint8), (len(ring.vertices), 1)))
     hierarchy = lod.build(grey, cell_triangles=256, root_triangles=200, ratio=3.0, threads=2)
@@ -73,15 +76,15 @@ def textured_tiles(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @dataclass
-class Seen:
-    """A page in the browser: what it said on its console, and what it asked for."""
+class OpenedPage:
+    """Page in the browser with its console messages and requests."""
 
     page: Any
     said: list[str]
     asked: list[str]
 
     def picture(self, view: str, moved: NDArray[np.float64] = ORIGIN) -> Mask:
-        """Return where the model, which may have been moved, is seen from a view."""
+        """Render a view of the model, which may be shifted, and return its mask."""
         eye, target, error = VIEWS[view]
         self.page.evaluate(
             "settings => { scanloom.set(settings); return scanloom.settled(); }",
@@ -90,7 +93,7 @@ class Seen:
         return self.mask()
 
     def image(self) -> NDArray[np.int64]:
-        """Return what the page shows (h, w, 3), RGB."""
+        """Take a screenshot (h, w, 3), RGB."""
         data = np.frombuffer(self.page.screenshot(), np.uint8)
         return np.asarray(cv2.cvtColor(cv2.imdecode(data, cv2.IMREAD_COLOR), cv2.COLOR_BGR2RGB).astype(int))
 
@@ -111,9 +114,9 @@ def chromium() -> Iterator[Any]:
         yield started
 
 
-def opened(chromium: Any, address: str, scheme: str = "light") -> Seen:
+def open_page(chromium: Any, address: str, scheme: str = "light") -> OpenedPage:
     page = chromium.new_context(viewport={"width": WIDTH, "height": HEIGHT}, color_scheme=scheme).new_page()
-    seen = Seen(page, [], [])
+    seen = OpenedPage(page, [], [])
     page.on("console", lambda message: seen.said.append(f"{message.type}: {message.text}"))
     page.on("pageerror", lambda error: seen.said.append(f"error: {error}"))
     page.on("request", lambda request: seen.asked.append(request.url))
@@ -123,9 +126,9 @@ def opened(chromium: Any, address: str, scheme: str = "light") -> Seen:
     return seen
 
 
-def silhouette(view: str) -> Mask:
-    """Return where our own renderer sees the input from a view, in black."""
-    mesh = long_ring()
+def render_silhouette(view: str) -> Mask:
+    """Render the mask of the input mesh from a view with scanloom's own renderer."""
+    mesh = make_long_ring()
     eye, target = (np.array(point) for point in VIEWS[view][:2])
     z = (target - eye) / np.linalg.norm(target - eye)
     x = np.cross(z, (0.0, 0.0, 1.0))
@@ -138,30 +141,30 @@ def silhouette(view: str) -> Mask:
     return np.asarray(render(black, Viewpoint(view, camera, pose)).max(axis=2) < 100)
 
 
-def grown(mask: Mask, pixels: int) -> Mask:
-    """Return a mask so many pixels wider, or narrower for less than 0."""
+def dilate_mask(mask: Mask, pixels: int) -> Mask:
+    """Dilate a mask by a number of pixels, or erode it for a negative number."""
     kernel = np.ones((2 * abs(pixels) + 1,) * 2, np.uint8)
     change = cv2.dilate if pixels > 0 else cv2.erode
     return np.asarray(change(mask.astype(np.uint8), kernel, borderValue=int(pixels < 0)), bool)
 
 
-def holes(seen: Mask, view: str) -> int:
-    """Return how many pixels show the paper where the model is, whatever its error."""
-    return int((grown(silhouette(view), -int(VIEWS[view][2]) - 2) & ~seen).sum())
+def count_hole_pixels(seen: Mask, view: str) -> int:
+    """Count background pixels inside the silhouette of the model, which is shrunk by the allowed error."""
+    return int((dilate_mask(render_silhouette(view), -int(VIEWS[view][2]) - 2) & ~seen).sum())
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_the_model_is_whole_from_far_near_and_in_mixed_levels(
+def test_the_model_has_no_holes_from_far_near_and_in_mixed_levels(
     chromium: Any, tiles: Path, scheme: str
 ) -> None:
     with run_server(FolderServer(tiles)) as server:
-        seen = opened(chromium, server.address, scheme)
+        seen = open_page(chromium, server.address, scheme)
         found = {}
         for view, (_, _, error) in VIEWS.items():
-            mask, own = seen.picture(view), silhouette(view)
+            mask, own = seen.picture(view), render_silhouette(view)
             assert own.mean() > 0.04
-            assert holes(mask, view) == 0
-            assert not (mask & ~grown(own, int(error) + 2)).any()
+            assert count_hole_pixels(mask, view) == 0
+            assert not (mask & ~dilate_mask(own, int(error) + 2)).any()
             found[view] = seen.to_dict()
         assert found["far"]["triangles"] < found["mixed"]["triangles"]
         assert found["far"]["errorM"] > found["near"]["errorM"]
@@ -170,20 +173,20 @@ def test_the_model_is_whole_from_far_near_and_in_mixed_levels(
         assert [text for text in seen.said if "versions at 1.1 or higher have limited" not in text] == []
 
 
-def test_a_hole_would_be_seen(chromium: Any, tiles: Path, tmp_path: Path) -> None:
+def test_holes_are_detected_in_damaged_tiles(chromium: Any, tiles: Path, tmp_path: Path) -> None:
     shutil.copytree(tiles, tmp_path / "tiles")
     for tile in (tmp_path / "tiles" / "tiles").iterdir():
-        # The last ones of the indices, which end the file: triangles without a size.
+        # Overwrite the last indices, at the end of the file, to make degenerate triangles.
         data = tile.read_bytes()
         tile.write_bytes(data[:-60] + data[-64:-60] * 15)
     with run_server(FolderServer(tmp_path / "tiles")) as server:
-        assert holes(opened(chromium, server.address).picture("near"), "near") > 0
+        assert count_hole_pixels(open_page(chromium, server.address).picture("near"), "near") > 0
 
 
 @pytest.mark.parametrize("packed_by", ["scanloom", "another tool"])
-def test_packed_tiles_are_drawn(chromium: Any, tiles: Path, tmp_path: Path, packed_by: str) -> None:
+def test_compressed_tiles_are_drawn(chromium: Any, tiles: Path, tmp_path: Path, packed_by: str) -> None:
     if packed_by == "scanloom":
-        hierarchy = lod.build(long_ring(), cell_triangles=256, root_triangles=200, ratio=3.0, threads=2)
+        hierarchy = lod.build(make_long_ring(), cell_triangles=256, root_triangles=200, ratio=3.0, threads=2)
         lod.write_tiles(hierarchy, tmp_path / "tiles", up="+z", compress="meshopt")
         write_tileset_page(tmp_path / "tiles")
     else:
@@ -194,36 +197,36 @@ def test_packed_tiles_are_drawn(chromium: Any, tiles: Path, tmp_path: Path, pack
     )
     assert after < 0.8 * before
     with run_server(FolderServer(tmp_path / "tiles")) as server:
-        seen = opened(chromium, server.address)
+        seen = open_page(chromium, server.address)
         for view in VIEWS:
             mask = seen.picture(view)
-            assert holes(mask, view) == 0
+            assert count_hole_pixels(mask, view) == 0
             assert mask.any()
         assert [text for text in seen.said if "versions at 1.1 or higher have limited" not in text] == []
 
 
-def test_a_model_far_from_its_origin_is_as_whole(chromium: Any, tmp_path: Path) -> None:
+def test_a_model_far_from_the_origin_has_no_holes(chromium: Any, tmp_path: Path) -> None:
     away = np.array((450_000.0, 5_400_000.0, 120.0))
-    mesh = long_ring()
+    mesh = make_long_ring()
     far = Mesh(mesh.vertices + away, mesh.triangles, mesh.colors)
     hierarchy = lod.build(far, cell_triangles=256, root_triangles=200, ratio=3.0, threads=2)
     lod.write_tiles(hierarchy, tmp_path / "tiles", up="+z")
     with run_server(FolderServer(tmp_path / "tiles", extra_files=make_tileset_page())) as server:
-        seen = opened(chromium, server.address)
+        seen = open_page(chromium, server.address)
         for view in VIEWS:
             mask = seen.picture(view, away)
-            assert holes(mask, view) == 0
-            assert not (mask & ~grown(silhouette(view), int(VIEWS[view][2]) + 2)).any()
+            assert count_hole_pixels(mask, view) == 0
+            assert not (mask & ~dilate_mask(render_silhouette(view), int(VIEWS[view][2]) + 2)).any()
 
 
 def test_the_first_view_shows_all_of_the_model(chromium: Any, tiles: Path) -> None:
     with run_server(FolderServer(tiles)) as server:
-        seen = opened(chromium, server.address)
+        seen = open_page(chromium, server.address)
         mask = seen.mask()
         assert mask.any(axis=0).mean() > 0.3
         assert not mask[[0, -1]].any()
         assert not mask[:, [0, -1]].any()
-        # On a narrow screen too.
+        # The same on a narrow screen.
         seen.page.set_viewport_size({"width": 300, "height": 600})
         seen.page.evaluate("scanloom.showAll(); scanloom.settled()")
         assert not seen.mask()[:, [0, -1]].any()
@@ -232,7 +235,7 @@ def test_the_first_view_shows_all_of_the_model(chromium: Any, tiles: Path) -> No
 
 def test_keys_controls_and_address_change_the_picture(chromium: Any, tiles: Path) -> None:
     with run_server(FolderServer(tiles)) as server:
-        seen = opened(chromium, server.address + "#eye=0,-9,3&target=1,0,0&error=4&mode=levels")
+        seen = open_page(chromium, server.address + "#eye=0,-9,3&target=1,0,0&error=4&mode=levels")
         page = seen.page
         view = page.evaluate("scanloom.view()")
         np.testing.assert_allclose([view["eye"], view["target"]], [[0, -9, 3], [1, 0, 0]], atol=1e-9)
@@ -245,7 +248,7 @@ def test_keys_controls_and_address_change_the_picture(chromium: Any, tiles: Path
         assert page.evaluate("scanloom.view().eye[0]") < 0.1
         page.keyboard.press("Home")
         assert page.evaluate("scanloom.view().target") != view["target"]
-        # Wheel and pointer.
+        # Mouse wheel and drag.
         page.mouse.move(WIDTH / 2, HEIGHT / 2)
         whole = seen.mask().sum()
         page.mouse.wheel(0, -240)
@@ -264,7 +267,7 @@ def test_keys_controls_and_address_change_the_picture(chromium: Any, tiles: Path
         assert 0 < seen.mask().sum() < whole
 
 
-def test_a_tile_that_is_not_there_is_told(chromium: Any, tiles: Path, tmp_path: Path) -> None:
+def test_a_missing_tile_is_reported(chromium: Any, tiles: Path, tmp_path: Path) -> None:
     shutil.copytree(tiles, tmp_path / "tiles")
     for tile in (tmp_path / "tiles" / "tiles").iterdir():
         tile.unlink()
@@ -275,13 +278,13 @@ def test_a_tile_that_is_not_there_is_told(chromium: Any, tiles: Path, tmp_path: 
         page.close()
 
 
-def test_the_library_is_what_its_packages_give(tmp_path: Path) -> None:
+def test_the_library_is_built_from_its_packages(tmp_path: Path) -> None:
     run_node(PAGE / "build.mjs", tmp_path)
     for name in ("library.js", "LICENSES.txt"):
         assert (tmp_path / name).read_bytes() == (PAGE / name).read_bytes()
 
 
-def test_a_page_is_written_with_its_licences_and_addresses_nobody(tiles: Path) -> None:
+def test_a_page_has_its_licences_and_no_external_addresses(tiles: Path) -> None:
     page = make_tileset_page()
     assert {path.relative_to(tiles).as_posix() for path in tiles.rglob("*.*")} >= set(page)
     for name, content in page.items():
@@ -293,17 +296,17 @@ def test_a_page_is_written_with_its_licences_and_addresses_nobody(tiles: Path) -
 
 def test_images_of_tiles_are_shown(chromium: Any, textured_tiles: Path) -> None:
     with run_server(FolderServer(textured_tiles)) as server:
-        seen = opened(chromium, server.address)
+        seen = open_page(chromium, server.address)
         for view in VIEWS:
             assert seen.picture(view).any()
-            there = grown(silhouette(view), -int(VIEWS[view][2]) - 2)
-            # All but a few pixels along outlines, which are mixed with what is behind.
+            there = dilate_mask(render_silhouette(view), -int(VIEWS[view][2]) - 2)
+            # Except for a few pixels along outlines, which are mixed with the background.
             assert np.quantile(np.abs(seen.image()[there] - GREEN).max(axis=1), 0.999) <= 4, view
         assert [line for line in seen.said if "tiles versions" not in line] == []
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
-def test_a_wall_is_first_seen_from_the_side_it_was_scanned_from(
+def test_the_first_view_of_a_wall_is_from_its_scanned_side(
     chromium: Any, tmp_path: Path, side: float
 ) -> None:
     x, z = np.meshgrid(np.linspace(-2, 2, 40), np.linspace(0, 2, 20))
@@ -311,13 +314,13 @@ def test_a_wall_is_first_seen_from_the_side_it_was_scanned_from(
     at = np.arange(800).reshape(20, 40)
     a, b, c, d = at[:-1, :-1], at[:-1, 1:], at[1:, :-1], at[1:, 1:]
     faces = np.stack([a, b, d, a, d, c], 2).reshape(-1, 3)
-    # Counter-clockwise from -y, or from +y.
+    # Counter-clockwise seen from -y, or from +y.
     wall = Mesh(places, (faces if side < 0 else faces[:, ::-1]).astype(np.int32))
     hierarchy = lod.build(wall, cell_triangles=256, root_triangles=100)
     lod.write_tiles(hierarchy, tmp_path / "tiles", up="+z")
     write_tileset_page(tmp_path / "tiles")
     with run_server(FolderServer(tmp_path / "tiles")) as server:
-        seen = opened(chromium, server.address)
+        seen = open_page(chromium, server.address)
         eye = seen.page.evaluate("scanloom.view()")["eye"]
         assert side * eye[1] > 1
         assert seen.mask().any()

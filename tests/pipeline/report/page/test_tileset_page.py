@@ -1,4 +1,4 @@
-"""The page of a tileset: written into its folder, and replaced with it."""
+"""The page of a tileset is written into its folder and replaced with it."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ def hierarchy() -> lod.Hierarchy:
     return lod.build(sheet(16), cell_triangles=128, root_triangles=100, ratio=4.0, threads=1)
 
 
-def test_a_page_is_written_whole(hierarchy: lod.Hierarchy, tmp_path: Path) -> None:
+def test_all_files_of_a_page_are_written(hierarchy: lod.Hierarchy, tmp_path: Path) -> None:
     lod.write_tiles(hierarchy, tmp_path / "out")
     before = set((tmp_path / "out").rglob("*"))
     write_tileset_page(tmp_path / "out")
@@ -33,7 +33,7 @@ def test_a_tileset_is_replaced_with_its_page(hierarchy: lod.Hierarchy, tmp_path:
     lod.write_tiles(hierarchy, out)
     assert sorted(path.name for path in out.iterdir()) == ["tiles", "tileset.json"]
     write_tileset_page(out)
-    # As an interrupted command leaves it.
+    # State of the folder after an interrupted command.
     (out / "index.html").unlink()
     lod.write_tiles(hierarchy, out)
     assert not (out / "page").exists()
