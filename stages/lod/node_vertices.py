@@ -62,7 +62,8 @@ class NodeVertices:
     def count_finest(self, inside: Mask) -> Floats:
         """Count the distinct vertices of the finest level below each node that are inside a mask, (n,)."""
         chosen = np.flatnonzero(inside[self.counted_vertex])
-        counts = np.bincount(self.counted_node[chosen], self.counted_sign[chosen], len(self.parent))
+        counts: Floats = np.zeros(len(self.parent))
+        np.add.at(counts, self.counted_node[chosen], self.counted_sign[chosen])
         for nodes in self._nodes_by_depth:
             np.add.at(counts, self.parent[nodes], counts[nodes])
         return counts
@@ -106,7 +107,7 @@ def _list_counts(levels: Levels, parent: Ids) -> tuple[Ids, Ids, Floats]:
     node = np.repeat(np.arange(levels.nodes), levels.full)
     rows = np.flatnonzero(is_leaf[node])
     keys = _sort_unique((node[rows, None] * width + levels.triangles[rows]).reshape(-1))
-    terms = [(keys, np.ones(len(keys)))]
+    terms: list[tuple[Ids, Floats]] = [(keys, np.ones(len(keys)))]
     # Only vertices of several leaves can be counted twice.
     shared = keys[(np.bincount(keys % width, minlength=width) > 1)[keys % width]]
     raised = np.zeros(0, np.int64)
