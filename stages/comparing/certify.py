@@ -239,8 +239,8 @@ def certify(
         return _make_certificate(prove(None, progress), with_color, None)
     if params.check_only:
         found = prove(limit, progress)
-        decided = _make_certificate(found, with_color, _is_within(found.bound, limit, with_color))
-        return _drop_loose_bounds(decided, limit)
+        within = _is_within(found.bound, limit, with_color)
+        return _drop_loose_bounds(_make_certificate(found, with_color, within), limit)
     # Checking a limit yields no bound tighter than that limit, but a user who gives a limit also wants the
     # actual deviation. So tight bounds are computed first. The limits are checked separately only if the
     # tight bounds exceed them and the attained values do not.

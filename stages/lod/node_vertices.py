@@ -116,7 +116,8 @@ def _list_counts(levels: Levels, parent: Ids) -> tuple[Ids, Ids, Floats]:
         is_here[nodes] = True
         below = np.concatenate([raised, shared[is_here[shared // width]]])
         raised, count = np.unique(parent[below // width] * width + below % width, return_counts=True)
-        terms.append((raised[count > 1], 1.0 - count[count > 1]))
+        surplus: Floats = 1.0 - count[count > 1].astype(np.float64)
+        terms.append((raised[count > 1], surplus))
     keys, signs = (np.concatenate(parts) for parts in zip(*terms, strict=True))
     return keys // width, keys % width, signs
 

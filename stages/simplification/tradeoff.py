@@ -269,7 +269,7 @@ def _tradeoff(mesh: MeshLike, params: TradeoffParams, counts: Sequence[int], pro
         overshoots.append(measure.measure_overshoot(meshes[-1]))
         progress(done, len(counts_to_measure) + 1)
     is_flying = _find_flying(points, overshoots, measure.diagonal)
-    for k in np.flatnonzero(is_flying):
+    for k in np.flatnonzero(is_flying).tolist():
         with collecting(forward=False):
             meshes[k] = simplify(reference, triangles=points[k].triangles).mesh
         points[k] = measure.measure_point(meshes[k], before, with_bytes=params.glb_bytes)
@@ -424,9 +424,9 @@ def _suggest_point(
     points: Sequence[TradeoffPoint], max_distance: float | None, is_flying: NDArray[np.bool_]
 ) -> tuple[int | None, str]:
     """Select the suggested point; return its index, or None, and the criterion."""
-    sound = np.flatnonzero(~is_flying)
+    sound = np.flatnonzero(~is_flying).tolist()
     if max_distance is not None:
-        near = [int(k) for k in sound if points[k].percentile_95_m <= max_distance]
+        near = [k for k in sound if points[k].percentile_95_m <= max_distance]
         return (near[-1] if near else None), f"95 % of the surface within {max_distance:g} m"
     criterion = "more triangles gain little, fewer lose much"
     if len(sound) < 3:
@@ -434,7 +434,7 @@ def _suggest_point(
     along = -np.log([points[k].triangles for k in sound])
     error = np.array([points[k].rms_m for k in sound])
     below = _normalize_values(along) - _normalize_values(error)
-    return int(sound[below.argmax()]), criterion
+    return sound[int(below.argmax())], criterion
 
 
 def _normalize_values(values: NDArray[np.float64]) -> NDArray[np.float64]:
