@@ -157,7 +157,8 @@ class Levels:
     @cached_property
     def node_vertices(self) -> NodeVertices:
         """Vertices of each node in flat arrays."""
-        return NodeVertices.of(self)
+        lists = [self.list_vertices(node) for node in range(self.nodes)]
+        return NodeVertices.of(lists, self.parent, self.full, self.triangles)
 
     @cached_property
     def spheres(self) -> tuple[Floats, Floats]:

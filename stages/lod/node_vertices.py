@@ -5,13 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-
-if TYPE_CHECKING:
-    from scanloom.stages.lod.levels import Levels
 
 Floats = NDArray[np.float64]
 Ids = NDArray[np.int64]
@@ -41,13 +38,24 @@ class NodeVertices:
     counted_sign: Floats
 
     @staticmethod
-    def of(levels: Levels) -> NodeVertices:
-        """Collect the vertices of all nodes."""
-        lists = [levels.list_vertices(node) for node in range(levels.nodes)]
+    def of(
+        lists: Sequence[NDArray[np.uint32]],
+        parent: NDArray[np.integer[Any]],
+        full: Ids,
+        triangles: NDArray[np.uint32],
+    ) -> NodeVertices:
+        """Collect the vertices of all nodes.
+
+        Parameters
+        ----------
+        lists : vertices of each node, ascending.
+        parent, full : (n,) parent of each node, and number of its triangles with all splits done.
+        triangles : (t, 3) triangles of all nodes, in their order.
+        """
         start = np.concatenate([[0], np.cumsum([len(one) for one in lists], dtype=np.int64)])
         vertices = np.concatenate([np.zeros(0, np.uint32), *lists])
-        parent = levels.parent.astype(np.int64)
-        return NodeVertices(parent, start, vertices, *_list_counts(levels, parent))
+        above = parent.astype(np.int64)
+        return NodeVertices(above, start, vertices, *_list_counts(above, full, triangles))
 
     @cached_property
     def _nodes_by_depth(self) -> Sequence[Ids]:
@@ -99,20 +107,20 @@ def _group_by_depth(parent: Ids) -> list[Ids]:
     return [np.flatnonzero(depth == d) for d in range(int(depth.max(initial=0)), 0, -1)]
 
 
-def _list_counts(levels: Levels, parent: Ids) -> tuple[Ids, Ids, Floats]:
+def _list_counts(parent: Ids, full: Ids, triangles: NDArray[np.uint32]) -> tuple[Ids, Ids, Floats]:
     """List the terms of `NodeVertices.count_finest`: nodes, vertices and signs (e,)."""
-    width = max(len(levels.vertices), 1)
-    is_leaf = np.ones(levels.nodes, bool)
+    width = int(triangles.max(initial=0)) + 1
+    is_leaf = np.ones(len(parent), bool)
     is_leaf[parent[1:]] = False
-    node = np.repeat(np.arange(levels.nodes), levels.full)
+    node = np.repeat(np.arange(len(parent)), full)
     rows = np.flatnonzero(is_leaf[node])
-    keys = _sort_unique((node[rows, None] * width + levels.triangles[rows]).reshape(-1))
+    keys = _sort_unique((node[rows, None] * width + triangles[rows]).reshape(-1))
     terms: list[tuple[Ids, Floats]] = [(keys, np.ones(len(keys)))]
     # Only vertices of several leaves can be counted twice.
     shared = keys[(np.bincount(keys % width, minlength=width) > 1)[keys % width]]
     raised = np.zeros(0, np.int64)
     for nodes in _group_by_depth(parent):
-        is_here = np.zeros(levels.nodes, bool)
+        is_here = np.zeros(len(parent), bool)
         is_here[nodes] = True
         below = np.concatenate([raised, shared[is_here[shared // width]]])
         raised, count = np.unique(parent[below // width] * width + below % width, return_counts=True)
