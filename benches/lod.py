@@ -149,9 +149,11 @@ def print_fields(mesh: Mesh, threads: int, samples: int) -> None:
             for more in (half / first_half, parameter / first)
         )
         cut = hierarchy.cut(triangles=count)
-        found = max(
-            sample_max_deviation(cut.mesh, mesh, samples), sample_max_deviation(mesh, cut.mesh, samples)
+        there, back = (
+            sample_max_deviation(cut.mesh, mesh, samples),
+            sample_max_deviation(mesh, cut.mesh, samples),
         )
+        found = max(there[0], back[0])
         print_row(
             [
                 f"{parameter:.1f}",

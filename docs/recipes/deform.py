@@ -11,7 +11,7 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -24,8 +24,6 @@ from scanloom.stages import Camera, Mesh, Sphere, Viewpoint, check, lod, read_me
 from scanloom.stages._open3d import import_open3d
 from scanloom.stages.diagnostics.codes import MACHINE_BUG
 from scanloom.stages.diagnostics.errors import UsageError
-from scanloom.stages.lod import refinement_measures
-from scanloom.stages.lod.front import Region
 from scanloom.stages.rendering.render import write_png
 
 Floats = NDArray[np.float64]
@@ -115,15 +113,15 @@ def deform(mesh: Mesh, handle: Handle, *, cell_triangles: int = 2000) -> Deforma
     """Refine the marked part, deform, refine the bends, deform again, and repair."""
     hierarchy = lod.build(mesh, cell_triangles=cell_triangles, root_triangles=cell_triangles // 4)
     view = make_view(mesh)
-    front = lod.adjust(
-        hierarchy.front(), compute_urgency(hierarchy, view, handle.region, in_full=True), MAX_TRIANGLES
-    )
+    marked = lod.evaluate(hierarchy, view, handle.region, silhouette=False)
+    front = lod.adjust(hierarchy.front(), marked, MAX_TRIANGLES)
     before = front.cut().mesh
     deformed = deform_as_rigid_as_possible(before, handle)
 
     bend = measure_bends(before, deformed)
     bent = BentRegion(cKDTree(before.vertices), bend > MAX_BEND_DEG)
-    lod.adjust(front, compute_urgency(hierarchy, view, bent), MAX_TRIANGLES)
+    bends = lod.evaluate(hierarchy, view, constraints=bent, silhouette=False)
+    lod.adjust(front, bends, MAX_TRIANGLES)
     finer = front.cut().mesh
     adjusted = deform_as_rigid_as_possible(finer, handle)
 
@@ -138,24 +136,6 @@ def deform(mesh: Mesh, handle: Handle, *, cell_triangles: int = 2000) -> Deforma
         (count_irregular(adjusted), count_irregular(repaired.mesh)),
         repaired.bound_m,
     )
-
-
-def compute_urgency(
-    hierarchy: lod.Hierarchy, view: lod.View, region: Region, *, in_full: bool = False
-) -> refinement_measures.RefinementWeights:
-    """Compute the paper's measures for a region, without the outline measure.
-
-    Parameters
-    ----------
-    in_full : cells that touch the region count as fully inside, so that no part of the region stays coarse.
-    """
-    found = lod.evaluate(hierarchy, view, region)
-    nothing = np.zeros(hierarchy.nodes)
-    marked = np.ceil(found.marked) if in_full else found.marked
-    local = refinement_measures.compute_local_measure(found.frustum, nothing, found.error_px, marked)
-    for node in range(hierarchy.nodes - 1, 0, -1):
-        local[hierarchy.parent[node]] = max(local[hierarchy.parent[node]], local[node])
-    return replace(found, local=local)
 
 
 def deform_as_rigid_as_possible(mesh: Mesh, handle: Handle) -> Mesh:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from scanloom.stages._kernels import find_intersecting_triangles
 from scanloom.stages.progress import Progress
+from scanloom.stages.surface.cross_products import compute_area_vectors, compute_lengths, cross_rows
 from scanloom.stages.surface.edges import Edges, Ids, build_edges, label_fans, pair_halfedges
 from scanloom.stages.surface.mesh import Triangles, Vertices
 from scanloom.stages.surface.topology import (
@@ -122,7 +123,7 @@ def compute_corner_angles(vertices: Vertices, triangles: Triangles | Ids) -> NDA
     found = np.empty(triangles.shape)
     for k in range(3):
         one, other = (places[:, (k + i) % 3] - places[:, k] for i in (1, 2))
-        across = np.linalg.norm(np.cross(one, other), axis=1)
+        across = compute_lengths(cross_rows(one, other))
         found[:, k] = np.degrees(np.arctan2(across, np.einsum("ij,ij->i", one, other)))
     return found
 
@@ -156,12 +157,12 @@ def _find_folded_edges(surface: _PreparedMesh, degenerate: NDArray[np.bool_], fo
     chosen, edge_triangles = (
         rows[~degenerate[edge_triangles].any(axis=1)] for rows in (chosen, edge_triangles)
     )
-    corners = surface.vertices[surface.triangles]
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals = compute_area_vectors(surface.vertices[surface.triangles])
     one, other = normals[edge_triangles[:, 0]], normals[edge_triangles[:, 1]]
     # For inconsistently oriented neighbours, one normal is reversed.
     sign = np.where(is_inconsistent(edges)[chosen], -1.0, 1.0)
-    angle = np.arctan2(np.linalg.norm(np.cross(one, other), axis=1), sign * np.einsum("ij,ij->i", one, other))
+    across = compute_lengths(cross_rows(one, other))
+    angle = np.arctan2(across, sign * np.einsum("ij,ij->i", one, other))
     return np.asarray(edges.ends[chosen[np.degrees(angle) > 180 - fold_deg]])
 
 

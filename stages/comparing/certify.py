@@ -7,7 +7,7 @@ Here every triangle is subdivided into pieces, and each piece is bounded as a wh
 from __future__ import annotations
 
 import functools
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
@@ -121,7 +121,8 @@ class Certificate:
     original_shape_bound, original_color_bound : (m,) float64, per triangle of the original, from its points
         to the result.
     shape_bound_m, color_bound_levels : maximum over all triangles. The colour bound also holds for the
-        difference of each single channel.
+        difference of each single channel. With `check_only`, infinite if it is not proven to be within its
+        limit.
     shape_attained_m, color_attained_levels : largest values found at a point. The true maximum is between
         attained value and bound.
     slack_m : distance within which points count as equally near, because a search in single precision can
@@ -238,7 +239,8 @@ def certify(
         return _make_certificate(prove(None, progress), with_color, None)
     if params.check_only:
         found = prove(limit, progress)
-        return _make_certificate(found, with_color, _is_within(found.bound, limit, with_color))
+        within = _is_within(found.bound, limit, with_color)
+        return _drop_loose_bounds(_make_certificate(found, with_color, within), limit)
     # Checking a limit yields no bound tighter than that limit, but a user who gives a limit also wants the
     # actual deviation. So tight bounds are computed first. The limits are checked separately only if the
     # tight bounds exceed them and the attained values do not.
@@ -296,6 +298,20 @@ def _make_certificate(
         color_slack_levels=found.color_slack,
         within_limits=is_within_limits,
         pieces=found.pieces,
+    )
+
+
+def _drop_loose_bounds(decided: Certificate, limit: tuple[float, float]) -> Certificate:
+    """Return the certificate without overall bounds beyond the limits.
+
+    The search ends at the first point beyond a limit. By then the bounds are still as loose as the bounding
+    boxes, and say nothing about the deviation.
+    """
+    shape, color = decided.shape_bound_m, decided.color_bound_levels
+    return replace(
+        decided,
+        shape_bound_m=shape if shape <= limit[0] < np.inf else np.inf,
+        color_bound_levels=None if color is None else color if color <= limit[1] < np.inf else np.inf,
     )
 
 

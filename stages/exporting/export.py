@@ -95,9 +95,10 @@ class ExportParams:
     shading: str = param(
         "bare",
         "Lighting of a glTF file. `unlit`: none (KHR_materials_unlit), for colours with baked-in lighting, "
-        "such as photos. `lit`: always. `keep`: as the materials state; vertex colours are lit. `bare`: as "
-        "`keep`, but vertex colours of an uncompressed file have no material, because trimesh drops colours "
-        "next to a material; viewers then draw them as metal.",
+        "such as photos; material extensions for lighting are dropped. `lit`: always. `keep`: as the "
+        "materials state; vertex colours are lit. `bare`: as `keep`, but vertex colours of an uncompressed "
+        "file have no material, because trimesh drops colours next to a material; viewers then draw them as "
+        "metal.",
         choices=SHADINGS,
     )
     images: str = param(

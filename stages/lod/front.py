@@ -259,17 +259,9 @@ class Front:
             # Without a requested error only the order of priorities matters.
             priorities = np.where(length > 0, 1 + length / max(float(length.max(initial=0.0)), 1e-300), 0.0)
         if region is not None:
-            priorities = np.where(self._mask_region_nodes(region), priorities, 0.0)
+            is_inside = h.node_vertices.contains_any(region.contains(h.vertices))
+            priorities = np.where(is_inside, priorities, 0.0)
         return np.asarray(priorities)
-
-    def _mask_region_nodes(self, region: Region) -> NDArray[np.bool_]:
-        """Return a mask (n,) of nodes with a vertex in a region, on any level."""
-        h = self.hierarchy
-        inside = region.contains(h.vertices)
-        found = np.array([bool(inside[h.list_vertices(n)].any()) for n in range(h.nodes)], bool)
-        for node in range(h.nodes - 1, 0, -1):
-            found[h.parent[node]] |= found[node]
-        return found
 
     def _collect_ancestors(self) -> set[int]:
         ancestors: set[int] = set()

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from scanloom.stages import _kernels
 from scanloom.stages.diagnostics.diagnostic import Diagnostic
+from scanloom.stages.lod.node_vertices import NodeVertices
 from scanloom.stages.lod.source_mesh import decode_glb
 from scanloom.stages.printing import format_by_metrics, render_table
 from scanloom.stages.surface.mesh import Mesh
@@ -154,13 +155,18 @@ class Levels:
         return np.concatenate([[0], np.cumsum(self.born, dtype=np.int64)])
 
     @cached_property
+    def node_vertices(self) -> NodeVertices:
+        """Vertices of each node in flat arrays."""
+        lists = [self.list_vertices(node) for node in range(self.nodes)]
+        return NodeVertices.of(lists, self.parent, self.full, self.triangles)
+
+    @cached_property
     def spheres(self) -> tuple[Floats, Floats]:
         """Bounding spheres of each node and its descendants: centre (n, 3) and radius (n,), metres."""
         low, high = self.boxes
-        middle, radius = 0.5 * (low + high), np.zeros(self.nodes)
-        for node in range(self.nodes):
-            away = self.vertices[self.list_vertices(node)] - middle[node]
-            radius[node] = np.sqrt(np.einsum("ij,ij->i", away, away).max(initial=0.0))
+        middle, of = 0.5 * (low + high), self.node_vertices
+        away = self.vertices[of.vertices] - np.repeat(middle, np.diff(of.start), axis=0)
+        radius = np.sqrt(of.reduce(np.maximum, np.einsum("ij,ij->i", away, away), 0.0))
         for node in range(self.nodes - 1, 0, -1):
             above = self.parent[node]
             reach = float(np.linalg.norm(middle[node] - middle[above])) + radius[node]
@@ -170,16 +176,10 @@ class Levels:
     @cached_property
     def boxes(self) -> tuple[Floats, Floats]:
         """Bounding boxes of each node and its descendants: minimum and maximum corners (n, 3), metres."""
-        low, high = np.full((self.nodes, 3), np.inf), np.full((self.nodes, 3), -np.inf)
-        for node in range(self.nodes - 1, -1, -1):
-            points = self.vertices[self.list_vertices(node)]
-            low[node] = np.minimum(low[node], points.min(axis=0, initial=np.inf))
-            high[node] = np.maximum(high[node], points.max(axis=0, initial=-np.inf))
-            if node:
-                above = self.parent[node]
-                low[above] = np.minimum(low[above], low[node])
-                high[above] = np.maximum(high[above], high[node])
-        return low, high
+        of = self.node_vertices
+        points = self.vertices[of.vertices]
+        low = -of.propagate_max(-of.reduce(np.minimum, points, np.inf))
+        return low, of.propagate_max(of.reduce(np.maximum, points, -np.inf))
 
     @cached_property
     def cones(self) -> tuple[Floats, Floats]:
@@ -188,19 +188,19 @@ class Levels:
         A cone contains the normals of the mesh with all splits done. The half angle is π if the axis is
         undefined.
         """
-        axis, angle = np.zeros((self.nodes, 3)), np.full(self.nodes, np.pi)
-        for node in range(self.nodes):
-            corners = self.vertices[self.triangles[self.first_triangle[node] : self.first_triangle[node + 1]]]
-            normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-            length = np.linalg.norm(normals, axis=1)
-            mean = normals.sum(axis=0)
-            if length.max(initial=0.0) == 0 or not np.any(mean):
-                continue
-            axis[node] = mean / np.linalg.norm(mean)
-            has_area = length > 0
-            cosine = (normals[has_area] @ axis[node]) / length[has_area]
-            angle[node] = np.arccos(np.clip(cosine.min(), -1, 1))
-        return axis, angle
+        node = np.repeat(np.arange(self.nodes), self.full)
+        corners = self.vertices[self.triangles[: len(node)]]
+        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        length = np.linalg.norm(normals, axis=1)
+        mean = np.stack([np.bincount(node, column, self.nodes) for column in normals.T], axis=1)
+        mean_length = np.linalg.norm(mean, axis=1)
+        is_defined = mean_length > 0
+        axis = np.divide(mean, mean_length[:, None], out=np.zeros_like(mean), where=is_defined[:, None])
+        has_area = length > 0
+        cosine = np.einsum("ij,ij->i", normals[has_area], axis[node[has_area]]) / length[has_area]
+        min_cosine = np.ones(self.nodes)
+        np.minimum.at(min_cosine, node[has_area], cosine)
+        return axis, np.where(is_defined, np.arccos(np.clip(min_cosine, -1, 1)), np.pi)
 
     def list_vertices(self, node: int) -> NDArray[np.uint32]:
         """Return all vertices that a node uses at any number of splits, ascending."""

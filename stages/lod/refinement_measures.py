@@ -32,7 +32,7 @@ class RefinementWeights:
     frustum : (n,) gamma_v, visible ratio, 0 to 1.
     silhouette : (n,) gamma_s, proximity to the silhouette, 0 to 1.
     error_px : (n,) gamma_g, pixels.
-    marked : (n,) lambda_d, 0 to 1.
+    marked : (n,) lambda_d, 0 to 1: participation in a deformation.
     local : (n,) lambda_L; a node is split above a threshold.
     """
 
@@ -54,25 +54,27 @@ def compute_global_limit(triangles: int, floor: int, distance: float, *, near: f
 
 
 def compute_frustum_ratio(
-    view: View, middle: Floats, radius: Floats, points: tuple[Floats, ...] = ()
+    view: View,
+    middle: Floats,
+    radius: Floats,
+    inside: Floats | None = None,
+    vertices: Floats | None = None,
 ) -> Floats:
     """Compute gamma_v, equations (1) and (2): the ratio of each node inside the view frustum.
 
     Parameters
     ----------
     view : view to test against.
-    middle, radius : (n, 3) and (n,) bounding spheres, metres. The ratio is 0 for spheres outside.
-    points : (k, 3) points of each node for the ratio. Without points, a sphere that is not outside counts as
-        1.
+    middle, radius : (n, 3) and (n,) bounding spheres, metres.
+    inside, vertices : (n,) numbers of vertices inside the frustum, and of all vertices. With both, the ratio
+        is the paper's: 1 for spheres that are inside all four sides of the frustum by equation (1), else the
+        ratio of the vertices inside. Without, spheres that may meet the frustum count as 1, others as 0.
     """
-    seen = view.intersects(middle, radius).astype(np.float64)
-    if not points:
-        return seen
+    if inside is None or vertices is None:
+        return view.intersects(middle, radius).astype(np.float64)
     normals, offsets = view.compute_planes()
-    for node in np.flatnonzero(seen):
-        inside = (points[node] @ normals.T <= offsets).all(axis=1)
-        seen[node] = float(inside.mean()) if len(inside) else 0.0
-    return seen
+    is_within_sides = (middle @ normals[:4].T - offsets[:4] < -radius[:, None]).all(axis=1)
+    return np.where(is_within_sides, 1.0, _divide_counts(inside, vertices))
 
 
 def compute_silhouette_weight(
@@ -117,15 +119,29 @@ def compute_silhouette_weight(
     return np.asarray(np.where(inside, 1.0, found))
 
 
-def compute_marked_ratio(marked: Floats, vertices: Floats, *, rule: Rule = "corrected") -> Floats:
-    """Compute lambda_d = d1 d2, equation (4), from numbers of marked vertices (n,).
+def compute_marked_weight(
+    is_handle: NDArray[np.bool_], constrained: Floats, vertices: Floats, *, rule: Rule = "corrected"
+) -> Floats:
+    """Compute lambda_d = d1 d2, equation (4), of nodes (n,).
 
-    d1 is 1 if any vertex is marked. In the paper, d2 is the node's ratio of all marked vertices (the count at
-    the root, the first node). No leaf then exceeds 0.5 once three nodes share the region. The corrected d2 is
-    the ratio of the node's own `vertices` (n,) that are marked.
+    In the paper, d1 is 1 for nodes of the handle, else 0, and d2 is the node's ratio of all constrained
+    vertices (the number at the root, the first node). No leaf then exceeds 0.5 once three nodes share the
+    constrained vertices, and a handle is not refined.
+
+    By the corrected rule, nodes of the handle weigh 1, and are therefore refined completely. Other nodes
+    weigh the ratio of their own vertices that are constrained.
+
+    Parameters
+    ----------
+    is_handle : (n,) nodes with a vertex in the handle.
+    constrained, vertices : (n,) numbers of constrained vertices, and of all vertices.
+    rule : "corrected" or "paper".
     """
-    totals = np.full(len(marked), marked.max(initial=0.0)) if rule == "paper" else vertices
-    return np.asarray(np.divide(marked, totals, out=np.zeros(len(marked)), where=(totals > 0) & (marked > 0)))
+    if rule == "paper":
+        return np.where(
+            is_handle, _divide_counts(constrained, np.full_like(constrained, constrained[:1])), 0.0
+        )
+    return np.where(is_handle, 1.0, _divide_counts(constrained, vertices))
 
 
 def compute_local_measure(
@@ -148,3 +164,7 @@ def compute_local_measure(
         too_far &= frustum > 0
     urgent = too_far | (marked > max_marked_ratio)
     return np.asarray(np.where(urgent, 1.0, np.maximum(frustum * silhouette, marked)))
+
+
+def _divide_counts(counts: Floats, totals: Floats) -> Floats:
+    return np.asarray(np.divide(counts, totals, out=np.zeros(len(counts)), where=totals > 0))

@@ -89,6 +89,8 @@ class NormalMesh:
     tolerance_source : origin of the tolerance as text for people; None if decoded.
     max_distances_m : largest measured distance in metres between each level and the input; empty without
         `max_error`.
+    relaxed : the finest level after the paper's tangential steps (`tangential_steps`), which the file does
+        not contain; None without.
     diagnostics : warnings about dropped or changed data, and an unmet requirement if `max_error` was not
         reached.
     """
@@ -107,6 +109,7 @@ class NormalMesh:
     tolerance_m: float | None = None
     tolerance_source: str | None = None
     max_distances_m: tuple[float, ...] = ()
+    relaxed: Mesh | None = None
     diagnostics: tuple[Diagnostic, ...] = ()
 
     __repr__ = format_by_metrics
@@ -124,8 +127,8 @@ class NormalMesh:
 
     @property
     def mesh(self) -> Mesh:
-        """The finest level."""
-        return self.levels[-1]
+        """The finest level, after tangential steps if there are any."""
+        return self.levels[-1] if self.relaxed is None else self.relaxed
 
     def to_dict(self) -> dict[str, Any]:
         """Return counts and sizes as JSON-compatible values.
@@ -202,7 +205,7 @@ class NormalMesh:
             part.write_bytes(self.data[:end])
 
     def write(self, path: Path | str, level: int | None = None) -> None:
-        """Write the mesh of one level with `write_mesh`; None for the finest level.
+        """Write the mesh of one level with `write_mesh`; None for `mesh`.
 
         A PLY file also stores the confidence as a vertex property.
 
@@ -214,10 +217,11 @@ class NormalMesh:
             If the file cannot be written.
         """
         path, number = Path(path), -1 if level is None else self._require_level(level)
+        mesh = self.mesh if level is None else self.levels[number]
         if self.confidence is None or path.suffix.lower() != ".ply":
-            write_mesh(path, self.levels[number])
+            write_mesh(path, mesh)
         else:
-            write_ply(path, self.levels[number], vertex_values={"confidence": self.confidence[number]})
+            write_ply(path, mesh, vertex_values={"confidence": self.confidence[number]})
 
     def write_levels(self, folder: Path | str) -> tuple[Path, ...]:
         """Write every level as `level_0.ply`, `level_1.ply`, … and return the paths.

@@ -25,6 +25,7 @@ from scanloom.stages.normal_meshes.codes import (
     LEVELS_VERTICES_SPLIT,
 )
 from scanloom.stages.normal_meshes.normal_mesh import NormalMesh, convert_kernel_mesh
+from scanloom.stages.normal_meshes.tangential_laplacian import relax_tangentially
 from scanloom.stages.params import check_parameters, param, resolve
 from scanloom.stages.progress import Progress, ignore_progress
 from scanloom.stages.simplification.kernel_input import create_texture_warning
@@ -130,6 +131,15 @@ class RemeshParams:
         low=0,
         high=100,
     )
+    tangential_steps: int = param(
+        0,
+        "Steps of the paper's tangential Laplacian on all interior vertices of the finest level, after their "
+        "offsets. Triangles become more regular, and vertices leave the input surface. The .snm file holds "
+        "the level without these steps.",
+        group=_METHOD_GROUP,
+        low=0,
+        high=100,
+    )
     threads: int | None = param(
         None,
         "CPU threads; the result is the same for any number. Default: all.",
@@ -195,7 +205,7 @@ def remesh(
     `simplify` instead. Each refinement splits every edge, predicts the new vertex, and moves it along the
     predicted normal to the surface: one scalar per vertex. Boundary vertices store a vector. So do vertices
     whose normal does not hit the surface. Values are rounded before the next level is computed, so `decode`
-    reproduces the result from `data` bit for bit.
+    reproduces the levels from `data` bit for bit.
 
     Every level has the genus, connected components, boundary loops and orientation of the input. The same
     input gives the same bytes, for any number of threads.
@@ -235,6 +245,8 @@ def remesh(
     with collecting() as diagnostics:
         params = resolve(RemeshParams, params, changes)
         result = _remesh_validated(as_mesh(mesh), params, confidence, progress)
+    if params.tangential_steps:
+        result = replace(result, relaxed=relax_tangentially(result.levels[-1], params.tangential_steps))
     return replace(result, diagnostics=tuple(diagnostics))
 
 

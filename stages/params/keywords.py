@@ -313,6 +313,7 @@ class RemeshKeywords(TypedDict, total=False):
     max_error: float | None
     scheme: str
     relaxations: int
+    tangential_steps: int
     threads: int | None
     tolerance: float | None
     color_tolerance: float

@@ -40,7 +40,9 @@ SIMPLIFY_TRADEOFF = Code(
     "Error against triangles",
     """
 Messages of `tradeoff`. Exit code 1 if the error exceeds the bound at every triangle count: give larger counts
-or a larger bound. The other messages explain why a curve ends, and which meshes the distances refer to.
+or a larger bound. A mesh flies apart if a vertex is far outside the bounding box of the input, or if a single
+place is far more off than the rest of the surface, or than in meshes of fewer triangles: such counts are not
+suggested. The other messages explain why a curve ends, and which meshes the distances refer to.
 """,
     (
         "at none of these triangle counts is 95 % of the surface within 0.001 m; give larger counts with "

@@ -20,7 +20,7 @@ from scanloom.stages.comparing.needle_search import NeedleSafeSurface
 from scanloom.stages.comparing.surface_sampling import sample_stratified
 from scanloom.stages.diagnostics.codes import USAGE_VALUE_INVALID
 from scanloom.stages.diagnostics.collector import collecting, emit
-from scanloom.stages.diagnostics.diagnostic import Diagnostic
+from scanloom.stages.diagnostics.diagnostic import Diagnostic, Severity
 from scanloom.stages.diagnostics.errors import UsageError
 from scanloom.stages.params import check_parameters, param, resolve
 from scanloom.stages.printing import format_by_metrics, render_rows, render_table
@@ -53,6 +53,14 @@ if TYPE_CHECKING:
     from scanloom.stages.params.keywords import TradeoffKeywords
 
 _PERCENT = 95
+# A mesh flies apart if it fails one of these tests. Distances must also exceed a ratio of the diagonal of the
+# bounding box, because nearly exact meshes differ by large factors.
+# Vertices outside the bounding box of the input, relative to the 95 % distance.
+_MAX_OVERSHOOT = 2.0
+# Maximum distance, relative to the 95 % distance, and to the maximum distance of any smaller mesh.
+_MAX_PER_PERCENTILE = 10.0
+_MAX_PER_SMALLER = 4.0
+_MIN_FLYING_PER_DIAGONAL = 0.01
 # Diagnostics that only concern the smallest triangle count.
 _COUNT_CODES = (SIMPLIFY_COUNT_NOT_REACHED.name, SIMPLIFY_EDGES_BLOCKED.name, SIMPLIFY_SEAM_DRIFT.name)
 
@@ -128,9 +136,11 @@ class Tradeoff:
     ----------
     method : simplification method.
     points : errors, by decreasing triangle count.
-    suggested_triangles : triangle count; None if no count is within the requested error, or there are too few
-        counts.
+    suggested_triangles : triangle count that `simplify` reaches; None if no count is within the requested
+        error, or there are too few counts.
     criterion : criterion of the suggestion, in words.
+    bounded : error of the mesh of `simplify` with `max_shape` of the requested distance; None without a
+        requested distance, with given counts, or if no triangle can be removed within it.
     mesh : mesh at the suggested count, or at the smallest one without a suggestion.
     record : collapses, which restore the mesh at any other count.
     diagnostics : warnings of the simplification and of the comparison.
@@ -142,6 +152,7 @@ class Tradeoff:
     criterion: str
     mesh: Mesh
     record: CollapseRecord
+    bounded: TradeoffPoint | None = None
     diagnostics: tuple[Diagnostic, ...] = ()
 
     __repr__ = format_by_metrics
@@ -152,6 +163,7 @@ class Tradeoff:
             "method": self.method,
             "suggested_triangles": self.suggested_triangles,
             "suggested_for": self.criterion,
+            "bounded": None if self.bounded is None else self.bounded.to_dict(),
             "points": [point.to_dict() for point in self.points],
         }
 
@@ -187,6 +199,11 @@ def tradeoff(
 
     The meshes equal the results of `simplify` with a triangle count, by method `quadric`, or `seams` for
     textured meshes. Only the colour weight differs, because `simplify` derives it from the requested count.
+    If a mesh flies apart, `simplify` makes the mesh of that count anew, by the method it selects. If the new
+    mesh flies apart, too, a warning names the count, and the count is not suggested.
+
+    With `max_distance`, and without `counts`, `simplify` also makes the mesh within `max_shape` of that
+    distance. This mesh is suggested if it has fewer triangles than any measured count within the distance.
 
     Parameters
     ----------
@@ -244,20 +261,42 @@ def _tradeoff(mesh: MeshLike, params: TradeoffParams, counts: Sequence[int], pro
             )
         )
     measure = _ErrorMeasurement(reference, params.samples)
-    points, meshes = [], []
+    points, meshes, overshoots = [], [], []
     for done, count in enumerate(counts_to_measure, 2):
         with collecting(forward=False):
             meshes.append(record.replay(triangles=count, fit=record.wedges is None).mesh)
         points.append(measure.measure_point(meshes[-1], before, with_bytes=params.glb_bytes))
+        overshoots.append(measure.measure_overshoot(meshes[-1]))
         progress(done, len(counts_to_measure) + 1)
-    at, why = _suggest_point(points, params.max_distance)
+    is_flying = _find_flying(points, overshoots, measure.diagonal)
+    for k in np.flatnonzero(is_flying).tolist():
+        with collecting(forward=False):
+            meshes[k] = simplify(reference, triangles=points[k].triangles).mesh
+        points[k] = measure.measure_point(meshes[k], before, with_bytes=params.glb_bytes)
+        overshoots[k] = measure.measure_overshoot(meshes[k])
+    if is_flying.any():
+        is_flying = _find_flying(points, overshoots, measure.diagonal)
+        _report_flying(points, is_flying)
+    at, why = _suggest_point(points, params.max_distance, is_flying)
+    suggested, mesh = (None, meshes[-1]) if at is None else (points[at].triangles, meshes[at])
+    bounded = None
+    if params.max_distance and not len(counts):
+        with collecting(forward=False):
+            result = simplify(reference, max_shape=params.max_distance)
+        if len(result.mesh.triangles) < before:
+            bounded = measure.measure_point(result.mesh, before, with_bytes=params.glb_bytes)
+            is_proven = not any(one.severity == Severity.UNMET for one in result.diagnostics)
+            if is_proven and bounded.triangles < (suggested or before):
+                suggested, mesh = bounded.triangles, result.mesh
+                why = f"simplify with max_shape={params.max_distance:g} m proves it for the whole surface"
     return Tradeoff(
         method=light.method,
         points=tuple(points),
-        suggested_triangles=None if at is None else points[at].triangles,
+        suggested_triangles=suggested,
         criterion=why,
-        mesh=meshes[-1 if at is None else at],
+        mesh=mesh,
         record=record,
+        bounded=bounded,
     )
 
 
@@ -284,6 +323,21 @@ class _ErrorMeasurement:
         self._box = compute_bounding_box(reference)
         self._surface = NeedleSafeSurface(RaycastingSurface(reference, self._box), self._box)
         self._points = _sample_surface(reference, samples, 0)
+
+    @property
+    def diagonal(self) -> float:
+        """Diagonal of the reference's bounding box, metres."""
+        return float(np.linalg.norm(np.ptp(self._get_used_vertices(self._reference), axis=0)))
+
+    def measure_overshoot(self, mesh: Mesh) -> float:
+        """Measure how far vertices are outside the reference's bounding box, metres."""
+        inside, points = self._get_used_vertices(self._reference), self._get_used_vertices(mesh)
+        beyond = np.maximum(inside.min(axis=0) - points, points - inside.max(axis=0))
+        return float(beyond.max(initial=0.0))
+
+    @staticmethod
+    def _get_used_vertices(mesh: Mesh) -> Floats:
+        return np.asarray(mesh.vertices[mask_used_vertices(mesh)])
 
     def measure_point(self, mesh: Mesh, before: int, *, with_bytes: bool) -> TradeoffPoint:
         surface = NeedleSafeSurface(RaycastingSurface(mesh, self._box), self._box)
@@ -333,18 +387,54 @@ def _measure_glb_bytes(mesh: Mesh) -> int:
         return path.stat().st_size
 
 
-def _suggest_point(points: Sequence[TradeoffPoint], max_distance: float | None) -> tuple[int | None, str]:
+def _find_flying(
+    points: Sequence[TradeoffPoint], overshoots: Sequence[float], diagonal: float
+) -> NDArray[np.bool_]:
+    """Return a mask of the points whose mesh flies apart."""
+    percentile, maximum = (
+        np.array([getattr(point, name) for point in points]) for name in ("percentile_95_m", "maximum_m")
+    )
+    # The minimum over all smaller meshes, which should be worse.
+    smaller = np.minimum.accumulate(np.append(maximum, np.inf)[::-1])[::-1][1:]
+    overshoot = np.array(overshoots)
+    min_distance = _MIN_FLYING_PER_DIAGONAL * diagonal
+    is_outside = overshoot > np.maximum(_MAX_OVERSHOOT * percentile, min_distance)
+    is_large = (maximum > _MAX_PER_PERCENTILE * percentile) | (maximum > _MAX_PER_SMALLER * smaller)
+    return np.asarray(is_outside | (is_large & (maximum > min_distance)))
+
+
+def _report_flying(points: Sequence[TradeoffPoint], is_flying: NDArray[np.bool_]) -> None:
+    chosen = [point for point, flying in zip(points, is_flying, strict=True) if flying]
+    if not chosen:
+        return
+    worst = max(chosen, key=lambda point: point.maximum_m)
+    emit(
+        SIMPLIFY_TRADEOFF.warning(
+            "single places of the mesh fly apart at {counts} triangles: up to {far:.3g} m off, while 95 % of "
+            "the surface is within {near:.3g} m. These counts are not suggested",
+            remedy="simplify with max_shape, which bounds every place.",
+            counts=", ".join(f"{point.triangles:,}" for point in chosen),
+            far=worst.maximum_m,
+            near=worst.percentile_95_m,
+        )
+    )
+
+
+def _suggest_point(
+    points: Sequence[TradeoffPoint], max_distance: float | None, is_flying: NDArray[np.bool_]
+) -> tuple[int | None, str]:
     """Select the suggested point; return its index, or None, and the criterion."""
+    sound = np.flatnonzero(~is_flying).tolist()
     if max_distance is not None:
-        near = [k for k, point in enumerate(points) if point.percentile_95_m <= max_distance]
+        near = [k for k in sound if points[k].percentile_95_m <= max_distance]
         return (near[-1] if near else None), f"95 % of the surface within {max_distance:g} m"
     criterion = "more triangles gain little, fewer lose much"
-    if len(points) < 3:
+    if len(sound) < 3:
         return None, criterion
-    along = -np.log([point.triangles for point in points])
-    error = np.array([point.rms_m for point in points])
+    along = -np.log([points[k].triangles for k in sound])
+    error = np.array([points[k].rms_m for k in sound])
     below = _normalize_values(along) - _normalize_values(error)
-    return int(below.argmax()), criterion
+    return sound[int(below.argmax())], criterion
 
 
 def _normalize_values(values: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from scanloom.stages._kernels import find_intersecting_triangles
+from scanloom.stages.cleaning.check import CLASSES
 from scanloom.stages.cleaning.regularity import NO_INTERSECTION, AngleLimits, find_local_irregular
 from scanloom.stages.cleaning.repairs.defect_indices import find_missing, is_triangle_class
 from scanloom.stages.cleaning.repairs.editable_mesh import EditableMesh
@@ -17,6 +18,7 @@ from scanloom.stages.surface.mesh import Vertices
 
 # A changed triangle affects the class only of elements within two rings.
 _RINGS = 2
+_EMPTY_SHAPES = {"vertex": (0,), "edge": (0, 2), "triangle": (0,)}
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,6 +48,10 @@ def compare_defects(
     threads : 0 for one per core.
     """
     changed = edited.find_changed()
+    if len(changed) == 0:
+        return DefectChanges(
+            {name: np.zeros(_EMPTY_SHAPES[kind], np.int64) for name, (kind, *_) in CLASSES.items()}, changed
+        )
     given = edited.get_input_triangles()
     rows = grow_rings(given, len(edited.first_vertex), changed, _RINGS)
     there = rows[edited.is_present(rows)]

@@ -26,6 +26,8 @@ def compute_edge_keys(ends: Ids, vertex_count: int) -> Ids:
 
 def find_missing(some: Ids, others: Ids) -> Ids:
     """Return the elements of one class, ascending, that are not in `others`."""
+    if len(some) == 0 or len(others) == 0:
+        return some
     if some.ndim == 1:
         return np.setdiff1d(some, others)
     limit = int(max(some.max(initial=0), others.max(initial=0))) + 1

@@ -144,13 +144,18 @@ def _create_operations(around: Neighbourhood, equality: CornerEquality, limits: 
         flat = found["degenerate_triangles"]
         obtuse = compute_corner_angles(around.positions, around.triangles[flat]).max(axis=1, initial=0) > 90
         for name, some in (("caps", found["caps"]), ("degenerate_triangles", flat[obtuse])):
-            yield create_flips(numbered[name], around, equality, some, _find_side(around, some, longest=True))
+            if len(some):
+                side = _find_side(around, some, longest=True)
+                yield create_flips(numbered[name], around, equality, some, side)
         for name, some in (("needles", found["needles"]), ("degenerate_triangles", flat[~obtuse])):
+            if len(some) == 0:
+                continue
             short = _find_side(around, some, longest=False)
             for to_head in (True, False):
                 yield create_collapses(numbered[name], around, equality, some, short, to_head=to_head)
-        folds = _find_halfedges(around, found["sharp_edges"])
-        yield create_flips(numbered["sharp_edges"], around, equality, folds, folds)
+        if len(found["sharp_edges"]):
+            folds = _find_halfedges(around, found["sharp_edges"])
+            yield create_flips(numbered["sharp_edges"], around, equality, folds, folds)
         yield create_smoothings(numbered["spikes"], around, equality, found["spikes"])
 
     return concatenate_operations(list(iterate_operations()))

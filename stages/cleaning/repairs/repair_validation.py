@@ -23,6 +23,7 @@ from scanloom.stages.cleaning.repairs.operations import (
     Operations,
 )
 from scanloom.stages.cleaning.repairs.ragged_array import find_distinct_pairs
+from scanloom.stages.surface.cross_products import compute_area_vectors
 from scanloom.stages.surface.edges import Ids
 from scanloom.stages.surface.mesh import Vertices
 from scanloom.stages.surface.texture import Texture, compute_signed_areas
@@ -179,9 +180,9 @@ def _find_flipped(trial: _TestMeshes) -> Ids:
     owner = trial.owner[trial.written]
     before, after = trial.before[trial.written], trial.after[trial.written]
     count = int(trial.owner.max(initial=-1)) + 1
-    sums = [np.bincount(owner, axis, count) for axis in _compute_area_vectors(trial.positions[before]).T]
+    sums = [np.bincount(owner, axis, count) for axis in compute_area_vectors(trial.positions[before]).T]
     faces = np.einsum(
-        "ij,ij->i", _compute_area_vectors(trial.moved_positions[after]), np.stack(sums, axis=1)[owner]
+        "ij,ij->i", compute_area_vectors(trial.moved_positions[after]), np.stack(sums, axis=1)[owner]
     )
     return np.asarray(owner[(faces <= 0) & (after[:, 0] != GONE)])
 
@@ -199,10 +200,6 @@ def _find_flipped_in_texture(around: Neighbourhood, operations: Operations, text
     sums = np.bincount(operations.owner, before, len(operations))[operations.owner]
     counts = (operations.corner[:, 0] != GONE) & (operations.moved[operations.owner] < 0)
     return np.asarray(operations.owner[counts & (after * np.sign(sums) < 0)])
-
-
-def _compute_area_vectors(corners: Vertices) -> Vertices:
-    return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
 
 
 def _find_owners(trial: _TestMeshes, name: str, ids: Ids) -> Ids:

@@ -226,6 +226,13 @@ def _remove_extension(tree: JsonObject, name: str) -> None:
         tree.pop("extensions", None)
 
 
+def _make_unlit(tree: JsonObject) -> None:
+    """Make a material unlit, without the extensions for lighting that exclude KHR_materials_unlit."""
+    extensions = tree.get("extensions", {})
+    kept = {name: value for name, value in extensions.items() if not name.startswith("KHR_materials_")}
+    tree["extensions"] = {**kept, UNLIT: {}}
+
+
 def make_unlit_source() -> GltfMaterialSource:
     """Return the properties of an unlit material.
 
@@ -298,6 +305,9 @@ class MaterialWriter:
             else GltfMaterialSource(_DEFAULT_MATERIAL)
         )
         tree = copy.deepcopy(kept.tree)
+        if self._shading == "unlit":
+            # Before images are stored: the file must not contain images of dropped extensions.
+            _make_unlit(tree)
         surface = tree.setdefault("pbrMetallicRoughness", {})
         has_other_image = material.image is not kept.image or material.wrap != kept.wrap
         if has_other_image:
@@ -327,9 +337,7 @@ class MaterialWriter:
                 moved = {"scale": [1 / count for count in steps]}
                 holder[key].setdefault("extensions", {})[_TEXTURE_TRANSFORM] = moved
             self._add_entry("extensionsRequired", _TEXTURE_TRANSFORM)
-        if self._shading == "unlit":
-            tree.setdefault("extensions", {})[UNLIT] = {}
-        elif self._shading == "lit":
+        if self._shading == "lit":
             _remove_extension(tree, UNLIT)
         for name in sorted(_collect_extensions(tree)):
             self._add_entry("extensionsUsed", name)

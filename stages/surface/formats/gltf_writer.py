@@ -82,8 +82,8 @@ def write_gltf(
     shading : one of SHADINGS. `keep`: as the materials state; vertex colours without a material are lit.
         `bare`:
         the same, but uncompressed files have no material for vertex colours, because trimesh drops colours
-        next to a material. `unlit`: colours are displayed without lighting, and normals are dropped; no
-        effect on a mesh without colours. `lit`: overrides the materials.
+        next to a material. `unlit`: colours are displayed without lighting; normals and extensions for
+        lighting are dropped; no effect on a mesh without colours. `lit`: overrides the materials.
     position_bits : bits per component of a compressed position, 1 to 16.
     texel_steps : steps of compressed texture coordinates per texel; viewers need KHR_texture_transform. 0 for
         16

@@ -451,6 +451,21 @@ def test_a_pure_decision_returns_the_limits_as_bounds(bumps):
         certify(*bumps, check_only=True)
 
 
+def test_a_refusal_states_no_bound(bumps):
+    tight = certify(*bumps)
+    refused = certify(*bumps, max_shape=0.5 * tight.shape_attained_m, check_only=True)
+    assert refused.within_limits is False
+    assert np.isinf(refused.shape_bound_m)
+    assert refused.to_dict()["shape_bound_m"] is None
+    assert refused.to_dict()["shape_attained_m"] > 0.5 * tight.shape_attained_m
+    # A quantity that keeps its limit has a bound, whatever the other one does.
+    limits = {"max_shape": 2 * tight.shape_bound_m, "max_color": 0.5 * tight.color_attained_levels}
+    mixed = certify(*bumps, **limits, check_only=True)
+    assert mixed.within_limits is False
+    assert mixed.to_dict()["color_bound_levels"] is None
+    assert mixed.shape_bound_m == np.inf or mixed.shape_bound_m <= limits["max_shape"]
+
+
 def test_a_limit_below_a_loose_bound_is_decided_by_subdivision(bumps):
     loose = {"shape_tolerance": 0.5, "effort": 0.0}
     close = certify(*bumps)

@@ -10,7 +10,7 @@ from scanloom.stages.lod.refinement_measures import (
     compute_frustum_ratio,
     compute_global_limit,
     compute_local_measure,
-    compute_marked_ratio,
+    compute_marked_weight,
     compute_silhouette_weight,
 )
 
@@ -27,8 +27,9 @@ def test_the_frustum_share_is_that_of_what_is_within() -> None:
     middle = np.array([[0.0, 0, 5], [0, 0, -5], [5, 0, 5]])
     radius = np.ones(3)
     assert compute_frustum_ratio(VIEW, middle, radius).tolist() == [1, 0, 1]
-    points = (np.array([[0.0, 0, 5]]), np.array([[0.0, 0, -5]]), np.array([[4.5, 0, 5], [5.5, 0, 5]]))
-    assert compute_frustum_ratio(VIEW, middle, radius, points).tolist() == [1, 0, 0.5]
+    # By the letter, only spheres that cross the frustum get the ratio of their vertices.
+    inside, vertices = np.array([1.0, 0, 1]), np.array([3.0, 2, 2])
+    assert compute_frustum_ratio(VIEW, middle, radius, inside, vertices).tolist() == [1, 0, 0.5]
 
 
 def weights(degrees: float, rule: str) -> float:
@@ -65,11 +66,15 @@ def test_from_within_a_cell_everything_may_be_outline() -> None:
 
 
 def test_in_the_papers_letter_no_leaf_of_a_shared_region_passes_a_half() -> None:
-    marked, vertices = np.array([30.0, 10, 10, 10, 0]), np.array([100.0, 10, 20, 10, 50])
+    constrained, vertices = np.array([30.0, 10, 10, 10, 0]), np.array([100.0, 10, 20, 10, 50])
+    is_handle = np.array([True, True, False, True, False])
     np.testing.assert_allclose(
-        compute_marked_ratio(marked, vertices, rule="paper"), [1, 1 / 3, 1 / 3, 1 / 3, 0]
+        compute_marked_weight(is_handle, constrained, vertices, rule="paper"), [1, 1 / 3, 0, 1 / 3, 0]
     )
-    np.testing.assert_allclose(compute_marked_ratio(marked, vertices), [0.3, 1, 0.5, 1, 0])
+    np.testing.assert_allclose(compute_marked_weight(is_handle, constrained, vertices), [1, 1, 0.5, 1, 0])
+    none = np.zeros(5)
+    np.testing.assert_array_equal(compute_marked_weight(is_handle, none, vertices, rule="paper"), none)
+    np.testing.assert_array_equal(compute_marked_weight(is_handle, none, vertices), is_handle)
 
 
 def test_the_local_measure_is_one_above_either_threshold() -> None:

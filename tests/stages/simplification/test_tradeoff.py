@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 from coloured_meshes import ball, sheet
 from seamed_meshes import wrapped_ball
 
-from scanloom import Mesh, MeshError, Tradeoff, UsageError, compare, simplify, tradeoff
+from scanloom import Mesh, MeshError, SimplificationResult, Tradeoff, UsageError, compare, simplify, tradeoff
+from scanloom.stages.simplification.records.record import CollapseRecord
+from scanloom.stages.simplification.tradeoff import TradeoffPoint, _find_flying
 
 
 @pytest.fixture(scope="module")
@@ -67,6 +71,80 @@ def test_the_smallest_number_within_a_distance_is_suggested(found: Tradeoff) -> 
     none = tradeoff(sheet(40), counts=[100], samples=1000, max_distance=1e-9)
     assert none.suggested_triangles is None
     assert len(none.mesh.triangles) == 100
+
+
+def test_the_mesh_that_simplify_proves_within_a_distance_is_suggested() -> None:
+    mesh = ball().with_(colors=None)
+    found = tradeoff(mesh, steps=3, min_ratio=0.3, samples=2000, max_distance=0.01)
+    light = simplify(mesh, max_shape=0.01).mesh
+    assert len(light.triangles) < found.points[-1].triangles
+    assert found.suggested_triangles == len(found.mesh.triangles) == len(light.triangles)
+    assert found.bounded is not None
+    assert found.bounded.maximum_m <= 0.01
+    assert found.to_dict()["bounded"]["triangles"] == len(light.triangles)
+    assert "max_shape=0.01" in found.criterion
+    # Within nothing, no mesh is lighter.
+    assert tradeoff(mesh, steps=2, min_ratio=0.5, samples=2000, max_distance=1e-12).bounded is None
+
+
+def test_a_mesh_that_flies_apart_is_made_anew_or_reported(monkeypatch: pytest.MonkeyPatch) -> None:
+    mesh = sheet(20)
+    real = CollapseRecord.replay
+
+    def with_a_far_vertex(record: CollapseRecord, **wanted: Any) -> SimplificationResult[Any]:
+        result = real(record, **wanted)
+        if result.mesh.vertices.shape[0] == len(mesh.vertices):
+            return result
+        vertices = result.mesh.vertices.copy()
+        vertices[result.mesh.triangles[0, 0], 2] += 5.0
+        return replace(result, mesh=result.mesh.with_(vertices=vertices))
+
+    steps = {"steps": 5, "min_ratio": 0.1, "samples": 2000}
+    whole = tradeoff(mesh, **steps)
+    monkeypatch.setattr(CollapseRecord, "replay", with_a_far_vertex)
+    anew = tradeoff(mesh, **steps)
+    assert not [one for one in anew.diagnostics if "fly apart" in one.message]
+    assert anew.suggested_triangles == whole.suggested_triangles
+    for point, other in zip(anew.points, whole.points, strict=True):
+        assert point.triangles == other.triangles
+        assert point.maximum_m <= 2 * other.maximum_m + 1e-9
+
+    def far_off(*given: Any, **wanted: Any) -> SimplificationResult[Any]:
+        result = simplify(*given, **wanted)
+        vertices = result.mesh.vertices.copy()
+        vertices[result.mesh.triangles[0, 0], 2] += 5.0
+        return result if wanted.get("record") else replace(result, mesh=result.mesh.with_(vertices=vertices))
+
+    monkeypatch.setattr("scanloom.stages.simplification.tradeoff.simplify", far_off)
+    flown = tradeoff(mesh, **steps, max_distance=0.1)
+    (warning,) = [one for one in flown.diagnostics if "fly apart" in one.message]
+    assert f"{flown.points[1].triangles:,}, {flown.points[2].triangles:,}" in warning.message
+    assert flown.suggested_triangles not in [point.triangles for point in flown.points[1:]]
+
+
+def test_meshes_fly_apart_outside_the_box_or_at_single_places() -> None:
+    def point(triangles: int, near: float, far: float) -> TradeoffPoint:
+        return TradeoffPoint(
+            triangles=triangles,
+            ratio=triangles / 1000,
+            rms_m=near,
+            percentile_95_m=near,
+            maximum_m=far,
+            color_rmse_levels=None,
+            glb_bytes=None,
+        )
+
+    smooth = [point(1000, 0, 0), point(500, 0.001, 0.005), point(200, 0.002, 0.01), point(100, 0.004, 0.02)]
+    none = [0.0] * 4
+    assert _find_flying(smooth, none, 1.0).tolist() == [False] * 4
+    assert _find_flying(smooth, [0, 0.001, 0, 0.1], 1.0).tolist() == [False, False, False, True]
+    # Far more off at one place than in the rest of the mesh, or than any smaller mesh.
+    single = [*smooth[:2], point(200, 0.002, 0.021), smooth[3]]
+    assert _find_flying(single, none, 1.0).tolist() == [False, False, True, False]
+    spike = [*smooth[:2], point(200, 0.05, 0.1), smooth[3]]
+    assert _find_flying(spike, none, 1.0).tolist() == [False, False, True, False]
+    # Nearly exact meshes differ by large factors.
+    assert _find_flying(single, none, 10.0).tolist() == [False] * 4
 
 
 def test_counts_are_put_in_order_and_cut_to_what_there_is() -> None:

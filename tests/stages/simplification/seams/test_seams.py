@@ -38,6 +38,7 @@ from scanloom.stages.simplification.seams.similar_vertices import (
 from scanloom.stages.simplification.simplify import SimplifyParams, simplify
 from scanloom.stages.surface.mesh import Material, Mesh, Texture
 from scanloom.stages.surface.mesh_files import read_mesh
+from scanloom.stages.surface.raycasting import RaycastingSurface
 from scanloom.stages.surface.topology import has_repeated_vertex
 
 DATA = Path(__file__).parents[5] / "shared" / "data" / "meshes"
@@ -498,6 +499,55 @@ def test_a_penalty_puts_off_what_it_is_for() -> None:
     assert left_on_border(seams={"part_border_penalty": 1000}) > left_on_border(
         seams={"part_border_penalty": 0}
     )
+
+
+def test_a_collapse_across_materials_is_put_off() -> None:
+    mesh = wrapped_ball(rings=40, sectors=40, bumps=0.1)
+    ids = (mesh.vertices[mesh.triangles].mean(axis=1)[:, 2] > 0).astype(np.int32)
+    assert mesh.texture is not None
+    (material,) = mesh.texture.materials
+    texture = Texture(mesh.texture.uvs, ids, (material, Material("other", material.image)))
+    halves = mesh.with_(texture=texture)
+
+    def left_on_border(penalty: float) -> int:
+        result = simplify(halves, method="seams", ratio=0.1, seams={"material_border_penalty": penalty}).mesh
+        assert result.texture is not None
+        here, there = (np.unique(result.triangles[result.texture.material_ids == k]) for k in (0, 1))
+        return len(np.intersect1d(here, there))
+
+    counts = [left_on_border(penalty) for penalty in (0, 10, 1000)]
+    assert counts[0] < counts[1] < counts[2]
+
+
+def test_a_collapse_of_many_duplicates_is_put_off() -> None:
+    mesh = wrapped_ball(rings=40, sectors=40, bumps=0.1)
+
+    def left_with_duplicates(penalty: float) -> int:
+        light = simplify(mesh, method="seams", ratio=0.1, seams={"duplicate_penalty": penalty}).mesh
+        assert light.texture is not None
+        corners = light.triangles.reshape(-1)
+        rows = np.column_stack([corners, np.round(light.texture.uvs.reshape(-1, 2), 9)])
+        _, copies = np.unique(np.unique(rows, axis=0)[:, 0], return_counts=True)
+        return int((copies > 1).sum())
+
+    counts = [left_with_duplicates(penalty) for penalty in (0, 10, 1000)]
+    assert counts[0] < counts[1] < counts[2]
+
+
+def test_the_shape_weight_keeps_the_shape_next_to_seams() -> None:
+    mesh = wrapped_ball(rings=40, sectors=40, bumps=0.1)
+    is_seam = (np.abs(mesh.vertices[:, 1]) < 1e-9) & (mesh.vertices[:, 0] > 0)
+    assert 30 < is_seam.sum() < 50
+
+    def distances(weight: float) -> np.ndarray:
+        light = simplify(mesh, method="seams", ratio=0.05, seams={"shape_weight": weight}).mesh
+        surface = RaycastingSurface(light, np.array([[-2.0] * 3, [2.0] * 3]))
+        return surface.find_closest_points(mesh.vertices).distances
+
+    light, heavy = distances(0), distances(1000)
+    assert np.sqrt((heavy[is_seam] ** 2).mean()) < 0.5 * np.sqrt((light[is_seam] ** 2).mean())
+    # At an equal count of triangles, the rest pays for it.
+    assert np.sqrt((heavy[~is_seam] ** 2).mean()) > np.sqrt((light[~is_seam] ** 2).mean())
 
 
 def test_importance_keeps_triangles_where_it_is() -> None:

@@ -167,6 +167,38 @@ def test_unlit_has_no_normals_and_shows_colours_as_they_are(tmp_path):
     assert read_mesh(tmp_path / "c.glb").texture is None
 
 
+def test_unlit_excludes_the_extensions_of_lit_materials(tmp_path):
+    """Specular, ior and the like must not be used next to KHR_materials_unlit, by their specifications."""
+    write_gltf(tmp_path / "a.gltf", textured())
+    tree = json.loads((tmp_path / "a.gltf").read_text())
+    tree["images"].append(dict(tree["images"][0]))
+    tree["textures"].append({"source": 1})
+    tree["materials"][0]["extensions"] = {
+        "KHR_materials_specular": {"specularFactor": 0.2, "specularTexture": {"index": 1}},
+        "KHR_materials_ior": {"ior": 1.4},
+        "EXT_other": {"kept": True},
+    }
+    tree["extensionsUsed"] = ["KHR_materials_specular", "KHR_materials_ior", "EXT_other"]
+    (tmp_path / "b.gltf").write_text(json.dumps(tree))
+    lit = read_mesh(tmp_path / "b.gltf")
+    for shading, extensions in (
+        ("unlit", {"EXT_other": {"kept": True}, "KHR_materials_unlit": {}}),
+        ("keep", tree["materials"][0]["extensions"]),
+    ):
+        write_gltf(tmp_path / "c.glb", lit, shading=shading)
+        written = read_container(tmp_path / "c.glb").tree
+        assert written["materials"][0]["extensions"] == extensions
+        assert set(written["extensionsUsed"]) == set(extensions)
+        assert len(written["images"]) == (1 if shading == "unlit" else 2)
+    # A second round trip changes nothing: an unlit material stays the one it is.
+    write_gltf(tmp_path / "c.glb", lit, shading="unlit")
+    write_gltf(tmp_path / "d.glb", read_mesh(tmp_path / "c.glb"), shading="keep")
+    assert (
+        read_container(tmp_path / "d.glb").tree["materials"]
+        == (read_container(tmp_path / "c.glb").tree["materials"])
+    )
+
+
 @settings(max_examples=60, deadline=None)
 @given(st.integers(1, 300), st.integers(1, 16), st.integers(0, 2**32 - 1), st.booleans())
 def test_rows_come_back_to_the_bit(count, quarter, seed, smooth):
