@@ -320,6 +320,7 @@ def simplify(
     *,
     bounds: tuple[float, float, float],
     scales: tuple[float, float, float],
+    soft_length: bool,
     attribute_scale: float,
     paper_rule: bool,
     triangle_limit: int,

@@ -10,6 +10,7 @@ use crate::common::{alone, field, measure};
 const OPTIONS: Options = Options {
     bounds: Limits::NONE,
     scales: Limits { length: 1.0, shape: 0.1, texture: 100.0 },
+    soft_length: false,
     attribute_scale: 0.01,
     paper_rule: false,
     triangle_limit: 10_000_000,

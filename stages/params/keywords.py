@@ -240,6 +240,7 @@ class MeshKeywords(TypedDict, total=False):
     part_names: tuple[str, ...]
     diagnostics: tuple[Diagnostic, ...]
     up: tuple[float, float, float] | None
+    intensity_max: float | None
 
 
 class PatchKeywords(TypedDict, total=False):

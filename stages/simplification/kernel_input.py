@@ -162,6 +162,8 @@ def build_result_mesh(
     if mesh.colors is not None:
         # The least-squares colour may be slightly outside the range.
         colors = np.rint(attributes).clip(0, 255).astype(np.uint8)
+        if colors.shape[1] == 1:
+            colors = np.repeat(colors, 3, axis=1)
     normals = None if mesh.normals is None else mesh.normals[vertex_source]
     lost = {"parts": mesh.part_ids, "corner normals": mesh.corner_normals}
     names = [name for name, value in lost.items() if value is not None]
@@ -176,4 +178,12 @@ def build_result_mesh(
                 names=", ".join(names),
             )
         )
-    return Mesh(vertices, triangles, colors=colors, normals=normals, diagnostics=mesh.diagnostics, up=mesh.up)
+    return Mesh(
+        vertices,
+        triangles,
+        colors=colors,
+        normals=normals,
+        diagnostics=mesh.diagnostics,
+        up=mesh.up,
+        intensity_max=mesh.intensity_max,
+    )

@@ -41,7 +41,8 @@ class SharedParams:
         "certified: maximum distance of any point of either surface from the other surface. "
         "Default: 0.5 % of the bounding box's diagonal, because a colour bound alone does "
         "not preserve the shape. jia01: maximum shape change, accumulated over the collapses "
-        "around an edge. Default: 0.1 of the resolution, but at most 0.5 % of the diagonal. "
+        "around an edge. Default: 0.1 of a given resolution, else 3.6 mean edge lengths, but at "
+        "most 0.5 % of the diagonal. "
         "planar: maximum distance between a mesh and its simplified patches; the thickness "
         "of a patch is at most 0.8 of it. Default: 0.5 % of the bounding box's diagonal.",
         unit="m",
@@ -55,7 +56,7 @@ class SharedParams:
         "certified: maximum colour difference, Euclidean over the channels, between any "
         "point of either surface and any nearest point of the other. Default: no bound. "
         "jia01: maximum contrast in the neighbourhood of a collapse, accumulated over the "
-        "collapses around an edge; it far exceeds the resulting colour error. Default: 400. "
+        "collapses around an edge; it far exceeds the resulting colour error. Default: 700. "
         "planar: maximum colour difference, Euclidean over the channels, between a point and "
         "its counterpart on the other surface; the colours of a patch are within 0.4 of it "
         "of a linear function. Default for coloured meshes: 60; 1000 is effectively no bound.",

@@ -48,8 +48,13 @@ def find_merging_contacts(mesh: Mesh, simplified: SimplificationResult[Any]) -> 
     for sides, max_count in ((_list_edges, 2), (_sort_corners, 1)):
         now, count = _count_rows(sides(light_corners))
         now, count = now[count > max_count], count[count > max_count]
+        # Splits put equal vertices on an edge where sheets touch. Their sources are ends of that edge, so its
+        # parts are no new contacts.
+        sources = np.sort(of_source[now], axis=1)
+        is_part = (sources[:, 1:] == sources[:, :-1]).any(axis=1)
+        now, count, sources = now[~is_part], count[~is_part], sources[~is_part]
         before, counts_before = _count_rows(sides(corners))
-        is_new = count > _look_up_counts(before, counts_before, np.sort(of_source[now], axis=1))
+        is_new = count > _look_up_counts(before, counts_before, sources)
         joined[now[is_new]] = True
     is_locked[simplified.vertex_source[joined[own]]] = True
     if not is_locked.any():

@@ -59,6 +59,8 @@ class Mesh:
     vertices : (n, 3) float64, metres.
     triangles : (m, 3) int32, counter-clockwise seen from outside.
     colors : (n, 3) uint8 RGB, or None.
+    intensity_max : if the colours are the grey intensity of a PLY file, the intensity at level 255; else
+        None. Files in other formats, and the results of most functions, have grey colours instead.
     normals : (n, 3) float64 unit vertex normals, or None.
     texture : texture coordinates per corner and a material per triangle (see Texture), or None.
     corner_normals : (m, 3, 3) float64 unit normals per corner, or None. Present if the corners of a vertex
@@ -83,6 +85,7 @@ class Mesh:
     part_names: tuple[str, ...] = ()
     diagnostics: tuple[Diagnostic, ...] = field(default=())
     up: tuple[float, float, float] | None = None
+    intensity_max: float | None = None
 
     def __repr__(self) -> str:
         return format_line(self, self._facts())
@@ -180,6 +183,13 @@ def validate_mesh(mesh: Mesh, where: str = "mesh") -> Mesh:
     )
     if part_ids is not None:
         part_ids = _validate_part_ids(part_ids, len(triangles), len(mesh.part_names), where)
+    if mesh.intensity_max is not None and not 0 < mesh.intensity_max < np.inf:
+        raise MeshError(
+            USAGE_ARGUMENT_INVALID,
+            "intensity_max is {intensity_max}; a positive number is expected.",
+            where,
+            intensity_max=mesh.intensity_max,
+        )
     return mesh.with_(
         vertices=vertices,
         triangles=triangles,

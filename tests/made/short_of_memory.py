@@ -171,6 +171,7 @@ def _make_calls(mesh: Mesh, side: int) -> dict[str, Call]:
             locked,
             bounds=(float(lengths.mean()) * 4, np.inf, np.inf),
             scales=(1.0, 1.0, 1.0),
+            soft_length=False,
             attribute_scale=1.0,
             paper_rule=False,
             triangle_limit=8 * triangles,

@@ -16,6 +16,10 @@ use crate::mesh::triangle_mesh::Mesh;
 /// Minimum squared ratio of height to base; a flatter triangle has no plane to project on.
 const MIN_HEIGHT_RATIO2: f64 = 1e-20;
 
+/// Maximum ratio of an edge's length to a soft length bound that still increases its priority. Larger ones could
+/// overflow.
+const MAX_EXCESS: f64 = 1e6;
+
 /// The three stop rules.
 #[derive(Clone, Copy, PartialEq, Eq, Debug)]
 pub enum StopRule {
@@ -63,10 +67,21 @@ impl AccumulatedChange {
     }
 }
 
+/// Compute the factor on the priority of an edge, from the ratio of its length to a soft length bound.
+///
+/// The 16th power: at 1.5 times the bound, an edge comes after shorter ones with 600 times its priority.
+#[inline]
+fn excess_penalty(excess: f64) -> f64 {
+    // `powi` may round differently on other machines.
+    let square = |x: f64| x * x;
+    square(square(square(square(excess.clamp(1.0, MAX_EXCESS)))))
+}
+
 /// Measure of JIA01 on points of R^D.
 pub struct Jia01<const D: usize> {
     bounds: Limits,
     scales: Limits,
+    soft_length: bool,
     /// Weight of the attributes in the inner product of R^D: the square of the attribute scale.
     attribute_weight: f64,
     paper_rule: bool,
@@ -94,6 +109,7 @@ impl<const D: usize> Jia01<D> {
         Self {
             bounds: options.bounds,
             scales: options.scales,
+            soft_length: options.soft_length,
             attribute_weight: options.attribute_scale * options.attribute_scale,
             paper_rule: options.paper_rule,
             accumulated,
@@ -181,7 +197,7 @@ impl<const D: usize> Measure<D> for Jia01<D> {
         let length = distance2(mesh.point(a), mesh.point(b)).sqrt();
         let sums = &self.accumulated[edge.index()];
         let texture = sums.total_texture();
-        if length > self.bounds.length {
+        if length > self.bounds.length && !self.soft_length {
             Err(StopRule::Length)
         } else if sums.shape > self.bounds.shape {
             Err(StopRule::Shape)
@@ -190,7 +206,8 @@ impl<const D: usize> Measure<D> for Jia01<D> {
         } else {
             Ok((sums.shape / self.scales.shape + 1.0)
                 * (texture / self.scales.texture + 1.0)
-                * (length / self.scales.length + 1.0))
+                * (length / self.scales.length + 1.0)
+                * excess_penalty(length / self.bounds.length))
         }
     }
 

@@ -19,6 +19,9 @@ pub struct Options {
     pub bounds: Limits,
     /// Scales of L, S_max and T_max in the order (7): finite and positive, even without a bound.
     pub scales: Limits,
+    /// Long edges are split, but may collapse: beyond the length bound, their priority grows steeply with their
+    /// length. For a triangle count, which a strict bound might not reach.
+    pub soft_length: bool,
     /// Length that counts as much as one level of an attribute in the placement (4)–(6).
     pub attribute_scale: f64,
     /// Follow the paper: check the sums after a collapse instead of before, and only at vertices.

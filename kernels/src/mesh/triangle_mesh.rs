@@ -140,6 +140,8 @@ impl<const D: usize> Mesh<D> {
     }
 
     /// Split `edge` at its midpoint; the attributes are the mean of the ends. Returns the new edges.
+    ///
+    /// The new vertex is locked if both ends are: where sheets touch along an edge, each has the same vertices.
     pub fn split(&mut self, edge: EdgeId) -> [EdgeId; 3] {
         let [a, b] = self.connectivity.ends(edge);
         let first = self.connectivity.halfedge(edge);
@@ -147,7 +149,8 @@ impl<const D: usize> Mesh<D> {
         let (pa, pb) = (*self.point(a), *self.point(b));
         self.points.push(std::array::from_fn(|i| 0.5 * (pa[i] + pb[i])));
         self.vertex_source.push(self.vertex_source[a.index()]);
-        self.locks.push(VertexLock::Free);
+        let is_locked = [a, b].iter().all(|&end| self.lock(end) == VertexLock::Locked);
+        self.locks.push(if is_locked { VertexLock::Locked } else { VertexLock::Free });
         for h in beside.into_iter().filter(|h| h.is_some()) {
             self.triangle_source.push(self.triangle_source[Connectivity::triangle(h).index()]);
         }

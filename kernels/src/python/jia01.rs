@@ -31,8 +31,8 @@ type SplitMesh =
 
 /// Simplify a mesh with JIA01. Infinity disables a bound.
 #[pyfunction]
-#[pyo3(signature = (vertices, attributes, triangles, locked, *, bounds, scales, attribute_scale, paper_rule,
-                    triangle_limit, running, progress))]
+#[pyo3(signature = (vertices, attributes, triangles, locked, *, bounds, scales, soft_length,
+                    attribute_scale, paper_rule, triangle_limit, running, progress))]
 #[allow(clippy::too_many_arguments)]
 pub fn simplify(
     py: Python<'_>,
@@ -42,6 +42,7 @@ pub fn simplify(
     locked: PyReadonlyArray1<'_, bool>,
     bounds: (f64, f64, f64),
     scales: (f64, f64, f64),
+    soft_length: bool,
     attribute_scale: f64,
     paper_rule: bool,
     triangle_limit: usize,
@@ -52,6 +53,7 @@ pub fn simplify(
     let options = Options {
         bounds: limits(bounds),
         scales: limits(scales),
+        soft_length,
         attribute_scale,
         paper_rule,
         triangle_limit,

@@ -104,6 +104,7 @@ fn jia01_keeps_its_bounds_in_regions_too() {
     let options = Options {
         bounds,
         scales: Limits { length: 1.0, ..bounds },
+        soft_length: false,
         attribute_scale: 1e-4,
         paper_rule: false,
         triangle_limit: 1_000_000,

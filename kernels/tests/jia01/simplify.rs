@@ -7,12 +7,13 @@ use scanloom_kernels::base::progress::{Progress, RunControl};
 use scanloom_kernels::collapse::engine::{Engine, Step, Stop};
 use scanloom_kernels::collapse::rounds::{Goal, REGION_TRIANGLES};
 use scanloom_kernels::collapse::whole_mesh::WholeMesh;
-use scanloom_kernels::jia01::{Jia01, JiaResult, Limits, Options, simplify};
-use scanloom_kernels::mesh::triangle_mesh::Mesh;
+use scanloom_kernels::jia01::{Jia01, JiaResult, Limits, Options, StopRule, simplify};
+use scanloom_kernels::mesh::triangle_mesh::{Mesh, VertexLock};
 
 const OPTIONS: Options = Options {
     bounds: Limits::NONE,
     scales: Limits { length: 1.0, shape: 0.1, texture: 100.0 },
+    soft_length: false,
     attribute_scale: 1e-3,
     paper_rule: false,
     triangle_limit: 1_000_000,
@@ -105,6 +106,43 @@ fn long_edges_are_split_and_the_new_parts_know_their_origin() {
     for (vertex, &source) in result.mesh.vertex_source.iter().enumerate().take(points.len()) {
         assert_eq!((vertex as u32, result.mesh.points[vertex]), (source, points[vertex]));
     }
+}
+
+#[test]
+fn the_split_of_an_edge_between_locked_vertices_is_locked() {
+    for (locked, expected) in [([true, true, false], true), ([true, false, false], false)] {
+        let points = vec![[0.0; 3], [1.0, 0.0, 0.0], [0.5, 0.1, 0.0]];
+        let whole: WholeMesh<3, StopRule> = WholeMesh::new(points, vec![[0, 1, 2]], locked.to_vec()).unwrap();
+        let mut mesh = whole.into_connected().unwrap();
+        let longest = mesh.connectivity.edges().find(|e| mesh.connectivity.ends(*e).iter().all(|v| v.0 < 2));
+        mesh.split(longest.unwrap());
+        assert_eq!((mesh.points[3], mesh.locks[3] == VertexLock::Locked), ([0.5, 0.0, 0.0], expected));
+    }
+}
+
+#[test]
+fn a_soft_length_splits_and_lets_longer_edges_collapse_last() {
+    let (points, triangles) = sheet(12, 12);
+    let bounds = Limits { length: 1.2, ..Limits::NONE };
+    let points: Vec<[f64; 3]> = coloured(&points, 0.4, 11);
+    let run = |soft_length, target| {
+        let options = Options { bounds, soft_length, ..OPTIONS };
+        run_to(target, points.clone(), &triangles, &options).unwrap()
+    };
+    let (strict, soft) = (run(false, 0), run(true, 40));
+    assert!(strict.splits > 0 && strict.splits == soft.splits);
+    assert!(strict.mesh.triangles.len() > 40 && strict.refused.length > 0);
+    assert_eq!((soft.stop, soft.refused.length), (Stop::Target, 0));
+    let longest = |result: &JiaResult<3>| {
+        let sides = result.mesh.triangles.iter().flat_map(|t| [[t[0], t[1]], [t[1], t[2]], [t[2], t[0]]]);
+        let length = |[a, b]: [u32; 2]| {
+            distance2(&result.mesh.points[a as usize], &result.mesh.points[b as usize]).sqrt()
+        };
+        sides.map(length).fold(0.0, f64::max)
+    };
+    // Without a bound on lengths, edges of any length collapse.
+    let any = run_to(200, points.clone(), &triangles, &OPTIONS).unwrap();
+    assert!(longest(&run(true, 200)) < longest(&any));
 }
 
 #[test]

@@ -1,12 +1,16 @@
 """Method `jia01`: bounds on accumulated shape and texture changes.
 
-Long edges are split first. Edges then collapse in the order of the change accumulated around them. The edge's
-midpoint is projected onto the planes of the adjacent triangles, in the space of position and colour. The new
-vertex is the mean of the projections.
+Edges longer than the resolution L are split first. The others then collapse in the order of the change
+accumulated around them. The edge's midpoint is projected onto the planes of the adjacent triangles, in the
+space of position and colour. The new vertex is the mean of the projections.
 
 Both changes are sums over collapses. The texture change measures contrast, not error, which is why the
 default of its bound `max_color` looks large. With a triangle count, only bounds that are given limit the
-simplification. The other defaults only affect the order of collapses.
+simplification. The other defaults only affect the order of collapses, and the resolution also splits.
+
+The paper leaves L to the user, and S_max is 0.1 L. By default, L is a little longer than the edges of the
+input (`scanloom.stages.simplification.jia01.resolution`), so that splits and the limit on lengths even out
+the vertices. S_max does not follow that L, because 0.1 L is below the noise of scans.
 
 The paper measures shape change at vertices only, so a long triangle may deviate between them. It also
 accumulates changes per edge, although a point may move to the triangle of another edge. Unless `paper_rule`

@@ -14,8 +14,9 @@ class Jia01Params:
 
     resolution: float | None = param(
         None,
-        "Target edge length: longer edges are split first, and do not collapse. Default: 36 "
-        "times the mean edge length, or more if splitting would add over 5 % of triangles.",
+        "Target edge length: longer edges are split first, and do not collapse. Default: 1.33 times the mean "
+        "edge length weighted by length, or more if few triangles are needed or many edges would be split. "
+        "With a triangle count, longer edges collapse last by default.",
         unit="m",
         low=0,
         low_open=True,

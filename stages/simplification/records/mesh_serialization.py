@@ -28,6 +28,8 @@ def serialize_mesh(mesh: Mesh) -> tuple[Arrays, dict[str, Any]]:
     metadata: dict[str, Any] = {"part_names": mesh.part_names}
     if mesh.up is not None:
         metadata["up"] = mesh.up
+    if mesh.intensity_max is not None:
+        metadata["intensity_max"] = mesh.intensity_max
     texture = mesh.texture
     if texture is not None:
         number = {id(image): i for i, image in enumerate(texture.images)}
@@ -71,6 +73,7 @@ def deserialize_mesh(arrays: Arrays, metadata: dict[str, Any]) -> Mesh:
         arrays.get("part_ids"),
         tuple(map(str, metadata.get("part_names", ()))),
         up=_parse_direction(metadata["up"]) if "up" in metadata else None,
+        intensity_max=float(metadata["intensity_max"]) if "intensity_max" in metadata else None,
     )
 
 

@@ -31,6 +31,7 @@ from scanloom.stages.surface.formats.ply_texture import (
     write_texture_images,
 )
 from scanloom.stages.surface.formats.polygon_triangulation import triangulate_polygons
+from scanloom.stages.surface.intensity import has_intensity, quantize_intensity, restore_intensity
 from scanloom.stages.surface.mesh import Mesh, require_writable, validate_mesh
 
 _COLOR_NAMES = (("red", "green", "blue"), ("r", "g", "b"), ("diffuse_red", "diffuse_green", "diffuse_blue"))
@@ -53,6 +54,8 @@ _VERTEX_PROPERTIES = (
 )
 _FACE_PROPERTIES = ("vertex_indices", "vertex_index", "texcoord", "texnumber", "alpha", "a")
 _SCANLOOM_FACE_PROPERTIES = ("material_index", "part_index", "corner_normals")
+# Used if there are no colours.
+_INTENSITY = "intensity"
 _COLOR_PROPERTIES = tuple(name for names in _COLOR_NAMES for name in names)
 # Measurements that scanloom writes. They are not read, because they need not be true for an edited mesh.
 _MEASURED_VERTEX_PROPERTIES = ("frames", "angle", "mean_angle", "pixel", "spread", "deviation", "filled")
@@ -72,9 +75,11 @@ _MAX_LISTED_NAMES = 5
 def read_ply(path: Path | str) -> Mesh:
     """Read a PLY file: text, or binary of either byte order.
 
-    Polygons are triangulated and triangle strips unrolled. Colours can be integers or floats. Texture
-    coordinates per corner (MeshLab's `texcoord`) or per vertex become a Texture with the unchanged image
-    files. A point cloud becomes a mesh without triangles. Face colours, alpha, and other properties and
+    Polygons are triangulated and triangle strips unrolled. Colours can be integers or floats. Without them,
+    the property `intensity` of a mesh becomes grey colours of 256 levels; see
+    `scanloom.stages.surface.intensity`.
+    Texture coordinates per corner (MeshLab's `texcoord`) or per vertex become a Texture with the unchanged
+    image files. A point cloud becomes a mesh without triangles. Face colours, alpha, and other properties and
     elements are dropped. `Mesh.diagnostics` lists changed and dropped data.
 
     Raises
@@ -101,16 +106,21 @@ def _read_file(path: Path) -> Mesh:
     triangles = used[corners] if len(used) else np.zeros((0, 3), np.int32)
     if _STRIPS_ELEMENT in tables and len(triangles) == 0:
         triangles = _unroll_strips(tables[_STRIPS_ELEMENT])
+    colors, intensity_max = _read_vertex_colors(vertex, path), None
+    # The intensity of a scanner's points depends on range and angle, and is no colour.
+    if colors is None and len(triangles):
+        colors, intensity_max = _read_intensity(vertex, path)
     mesh = Mesh(
         vertices=vertices,
         triangles=triangles,
-        colors=_read_vertex_colors(vertex, path),
+        colors=colors,
         normals=_read_normals(vertex, path),
+        intensity_max=intensity_max,
     )
     if any(name in face for name in ("red", "diffuse_red", "r")):
         emit(MESH_LEFT_OUT.warning("face colours are left out; only vertex colours are used", path))
     _report_transparency(vertex, path)
-    _report_unused_data(header, path)
+    _report_unused_data(header, path, reads_intensity=intensity_max is not None)
     mesh = validate_mesh(mesh, str(path))
     texture = read_ply_texture(header, vertex, face, mesh.triangles, corners, source, path)
     part_ids, part_names = read_parts(header, face, source, len(mesh.triangles))
@@ -139,6 +149,17 @@ def _read_vertex_colors(vertex: PlyTable, path: Path) -> NDArray[np.uint8] | Non
     return None
 
 
+def _read_intensity(vertex: PlyTable, path: Path) -> tuple[NDArray[np.uint8] | None, float | None]:
+    """Read the intensity as grey colours, and the value of level 255."""
+    values = vertex.get(_INTENSITY)
+    if not isinstance(values, np.ndarray):
+        return None, None
+    colors, full_scale = quantize_intensity(values)
+    if not np.isfinite(values).all() or values.min(initial=0) < 0:
+        emit(MESH_VALUES_REPLACED.warning("intensities that are negative or not finite become 0", path))
+    return colors, full_scale
+
+
 def _report_transparency(vertex: PlyTable, path: Path) -> None:
     for name in ("alpha", "a"):
         alpha = _stack_columns(vertex, (name,))
@@ -148,7 +169,7 @@ def _report_transparency(vertex: PlyTable, path: Path) -> None:
             emit(MESH_LEFT_OUT.warning("the transparency of vertices is left out", path))
 
 
-def _report_unused_data(header: PlyHeader, path: Path) -> None:
+def _report_unused_data(header: PlyHeader, path: Path, *, reads_intensity: bool) -> None:
     """Warn about dropped elements, and dropped properties of vertices and faces."""
     for element in header.elements:
         if element.count == 0 or element.name == _STRIPS_ELEMENT:
@@ -158,6 +179,8 @@ def _report_unused_data(header: PlyHeader, path: Path) -> None:
             continue
         called, known_names = _KNOWN_PROPERTIES[element.name]
         unused_names = [one.name for one in element.properties if one.name not in known_names]
+        if called == "vertices" and reads_intensity:
+            unused_names.remove(_INTENSITY)
         if called == "vertices" and "confidence" in unused_names:
             unused_names.remove("confidence")
             emit(
@@ -245,8 +268,9 @@ def write_ply(
 ) -> None:
     """Write a mesh as binary little-endian PLY; reading it back is lossless.
 
-    Values are stored as 32-bit floats if that is lossless (as for fused meshes), else as doubles. MeshLab,
-    Blender, CloudCompare, Open3D and trimesh read both. Texture images are written to the same folder, with
+    Grey colours that come from an intensity are written as `intensity`, in the unit of the file. Values are
+    stored as 32-bit floats if that is lossless (as for fused meshes), else as doubles. MeshLab, Blender,
+    CloudCompare, Open3D and trimesh read both. Texture images are written to the same folder, with
     unchanged names and bytes. Each file is replaced atomically.
 
     Parameters
@@ -279,7 +303,11 @@ def write_ply(
         comments += make_part_comments(mesh.part_names)
         face.append(("part_index", mesh.part_ids.astype("<i4")))
     face += [(name, _narrow_floats(values)) for name, values in (face_values or {}).items()]
-    vertex = _make_vertex_columns(mesh.vertices, mesh.colors, mesh.normals)
+    is_grey = has_intensity(mesh)
+    vertex = _make_vertex_columns(mesh.vertices, None if is_grey else mesh.colors, mesh.normals)
+    if is_grey:
+        values = restore_intensity(mesh)
+        vertex.append((_INTENSITY, values if values.dtype == np.uint8 else values.astype("<f4")))
     vertex += [(name, _narrow_floats(values)) for name, values in (vertex_values or {}).items()]
     _write_tables(path, comments, {"vertex": vertex, "face": face})
 

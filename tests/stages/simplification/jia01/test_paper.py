@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections import Counter
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -43,13 +44,42 @@ class Reference:
     sums: dict[frozenset[int], Sums] = field(default_factory=dict)
     largest: Sums = field(default_factory=Sums)
 
-    def run(self, target: int) -> None:
+    def run(self, target: int, ties: Iterable[frozenset[int]] = ()) -> None:
+        """Collapse edges; among edges of equal order, the next one of `ties` comes first."""
         for edge in self.edges():
             self.sums[edge] = Sums(contrast=self.texture_change(edge))
-        while len(self.triangles) > target and any(
-            self.collapse(edge) for edge in sorted(self.edges(), key=self.order) if self.stands_no_rule(edge)
-        ):
+        chosen = iter(ties)
+        while len(self.triangles) > target and self.collapse_first(next(chosen, None)):
             pass
+
+    def collapse_first(self, chosen: frozenset[int] | None) -> bool:
+        for edge in sorted(filter(self.stands_no_rule, self.edges()), key=self.order):
+            if chosen in self.sums and self.order(chosen) <= (1 + 1e-9) * self.order(edge):
+                if self.stands_no_rule(chosen) and self.collapse(chosen):
+                    return True
+                chosen = None
+            if self.collapse(edge):
+                return True
+        return False
+
+    # -- splits ------------------------------------------------------------------------------------------
+
+    def split_long_edges(self) -> int:
+        """Halve the longest edge until none is longer than L; returns the number of splits."""
+        count = 0
+        while self.length(edge := max(self.edges(), key=self.length)) > self.limits.length:
+            self.split(*edge)
+            count += 1
+        return count
+
+    def split(self, a: int, b: int) -> None:
+        new = max(self.points) + 1
+        self.points[new] = (self.points[a] + self.points[b]) / 2
+        self.triangles = [
+            tuple(new if v == old else v for v in t)
+            for t in self.triangles
+            for old in ((a, b) if {a, b} <= set(t) else (None,))
+        ]
 
     # -- neighbourhoods ----------------------------------------------------------------------------------
 
@@ -335,6 +365,12 @@ def compare_with_reference(mesh: Mesh, limits: Limits, target: int) -> None:
     )
 
 
+def as_shape(points: np.ndarray, triangles) -> list[tuple[tuple[float, ...], ...]]:
+    """Triangles as points, in a form that does not depend on the numbers and the order of either."""
+    corners = [[tuple(points[v].tolist()) for v in t] for t in triangles]
+    return sorted(min(tuple(t[i:] + t[:i]) for i in range(3)) for t in corners)
+
+
 def rotated(triangles) -> list[tuple[int, ...]]:
     """Triangles in a form that does not depend on where each starts, nor on their order."""
     return sorted(tuple(np.roll(t, -int(np.argmin(t))).tolist()) for t in triangles)
@@ -370,3 +406,59 @@ def test_whole_run(
     compare_with_reference(
         shaken(shape, seed), Limits(length, max_shape, max_color, scale, paper_rule), target=1
     )
+
+
+@pytest.mark.parametrize("shape", ["sheet", pytest.param("ball", marks=pytest.mark.slow)])
+@settings(SLOW, max_examples=3)
+@given(
+    seed=st.integers(0, 2**31),
+    paper_rule=st.booleans(),
+    max_color=st.sampled_from([250.0, 1500.0]),
+    is_grey=st.booleans(),
+)
+def test_splits_followed_by_collapses(
+    shape: str, seed: int, paper_rule: bool, max_color: float, is_grey: bool
+) -> None:
+    """Splits come first, longest first, at midpoints, and collapses follow."""
+    mesh = shaken(shape, seed)
+    # Levels of the new vertices are whole numbers, as the record stores them.
+    colors = mesh.colors // 16 * 16
+    if is_grey:
+        mesh = mesh.with_(colors=np.repeat(colors[:, :1], 3, axis=1), intensity_max=255.0)
+    else:
+        mesh = mesh.with_(colors=colors)
+    channels = 1 if is_grey else 3
+    sides = mesh.vertices[mesh.triangles] - mesh.vertices[np.roll(mesh.triangles, 1, axis=1)]
+    length = float(np.sort(np.linalg.norm(sides, axis=2), axis=None)[-9])
+    limits = Limits(length, 0.05, max_color, 1e-4, paper_rule)
+
+    def start(given: Mesh) -> Reference:
+        points = np.concatenate([given.vertices, given.colors[:, :channels]], axis=1)
+        return Reference(dict(enumerate(points)), [tuple(t) for t in given.triangles.tolist()], limits)
+
+    split = start(mesh)
+    splits = split.split_long_edges()
+    target = len(split.triangles) - 12
+    result = simplify(
+        mesh,
+        max_shape=limits.shape,
+        max_color=max_color,
+        attribute_scale=limits.scale,
+        triangles=target,
+        jia01={"resolution": length, "paper_rule": paper_rule},
+        record=True,
+    )
+
+    record = result.record
+    assert result.details.splits == splits > 0
+    reference = start(record.mesh)
+    assert as_shape(reference.points, reference.triangles) == as_shape(split.points, split.triangles)
+    pairs = zip(record.removed.tolist(), record.survivor.tolist(), strict=True)
+    reference.run(target, map(frozenset, pairs))
+    assert result.collapses == len(record.mesh.vertices) - len(reference.points)
+    places = sorted(reference.points.values(), key=tuple)
+    ours = np.concatenate([result.mesh.vertices, result.mesh.colors[:, :channels]], axis=1)
+    ours = ours[np.lexsort(ours.T[::-1])]
+    np.testing.assert_allclose(ours[:, :3], np.array(places)[:, :3], atol=1e-9)
+    np.testing.assert_allclose(ours[:, 3:], np.array(places)[:, 3:], atol=0.5 + 1e-6)
+    assert len(result.mesh.triangles) == len(reference.triangles)
