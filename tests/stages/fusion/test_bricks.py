@@ -1,4 +1,4 @@
-"""Space cut in bricks: whatever they are, the mesh is that of a single piece, byte for byte."""
+"""Fusion in bricks: for any bricks, the mesh is byte-identical to the mesh of in-memory fusion."""
 
 from __future__ import annotations
 
@@ -37,28 +37,28 @@ SAMPLE = Path(__file__).resolve().parents[3] / "samples" / "rgbd"
 
 @pytest.fixture(scope="module")
 def scan() -> Scan:
-    """Every third frame of the sample."""
+    """Read every third frame of the sample."""
     whole = read_scan(SAMPLE)
     return replace(whole, frames=whole.frames[::3])
 
 
 @pytest.fixture(scope="module")
-def in_one_piece(scan: Scan, tmp_path_factory: pytest.TempPathFactory) -> bytes:
+def fused_in_memory(scan: Scan, tmp_path_factory: pytest.TempPathFactory) -> bytes:
     path = tmp_path_factory.mktemp("whole") / "fused.ply"
     write_ply(path, fuse(scan, voxel_size=0.01).mesh)
     return path.read_bytes()
 
 
-def random_blocks(seed: int, reach: int, count: int) -> NDArray[np.int64]:
+def draw_blocks(seed: int, reach: int, count: int) -> NDArray[np.int64]:
     return np.random.default_rng(seed).integers(-reach, reach, (count, 3))
 
 
-def test_a_brick_is_as_large_as_asked_for_to_the_nearest_power_of_two() -> None:
+def test_the_brick_size_is_rounded_to_a_power_of_two() -> None:
     assert [compute_level(size, 0.01) for size in (4.0, 2.0, 0.2, 0.001)] == [6, 5, 1, 1]
 
 
-def test_places_and_keys_tell_each_other() -> None:
-    blocks = random_blocks(0, 1 << 19, 1000)
+def test_z_order_keys_and_positions_are_inverse() -> None:
+    blocks = draw_blocks(0, 1 << 19, 1000)
     assert (decode_z_order(encode_z_order(blocks, 0)) == blocks).all()
     for block, number in zip(blocks >> 3, encode_z_order(blocks >> 3, 3), strict=True):
         low = np.array(BlockCube(3, int(number)).low)
@@ -66,16 +66,16 @@ def test_places_and_keys_tell_each_other() -> None:
 
 
 @pytest.mark.parametrize("level", [1, 2, 4])
-def test_a_frame_is_for_the_bricks_it_touches_and_those_beside(level: int) -> None:
-    blocks = random_blocks(1, 40, 30)
+def test_a_frame_affects_touched_and_neighbouring_bricks(level: int) -> None:
+    blocks = draw_blocks(1, 40, 30)
     found = find_affected_bricks(encode_z_order(blocks, 0), level)
     around = np.array([(x, y, z) for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1)])
     beside = (blocks[:, None] + around).reshape(-1, 3)
     assert found == sorted({int(number) for number in encode_z_order(beside >> level, level)})
 
 
-def test_each_block_is_in_one_cube_that_fits() -> None:
-    blocks = np.unique(random_blocks(2, 30, 400), axis=0)
+def test_each_block_is_in_exactly_one_cube_within_the_limit() -> None:
+    blocks = np.unique(draw_blocks(2, 30, 400), axis=0)
     keys = np.sort(encode_z_order(blocks, 0))
     cubes = split_into_passes(keys, 1, 40)
     assert len(cubes) > 20
@@ -88,21 +88,21 @@ def test_each_block_is_in_one_cube_that_fits() -> None:
 
 
 @pytest.mark.parametrize(("size", "memory"), [(0.16, 4000), (0.3, 2), (0.7, 1.2)])
-def test_bricks_give_the_bytes_of_one_piece(
-    scan: Scan, in_one_piece: bytes, size: float, memory: float, tmp_path: Path
+def test_bricks_give_the_bytes_of_in_memory_fusion(
+    scan: Scan, fused_in_memory: bytes, size: float, memory: float, tmp_path: Path
 ) -> None:
     params = FuseParams(voxel_size=0.01, brick_size=size, memory=memory)
     found = fuse_to_file(scan, params, tmp_path / "fused.ply")
     assert isinstance(found, FusedInBricks)
     assert found.brick_count == found.fused_brick_count > 1
     assert found.volume_bytes <= memory * 1e6
-    assert (tmp_path / "fused.ply").read_bytes() == in_one_piece
+    assert (tmp_path / "fused.ply").read_bytes() == fused_in_memory
     assert [path.name for path in tmp_path.iterdir()] == ["fused.ply"]
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("crop", [{}, {"radius": 0.3, "center": (0.1, -0.1, 0.1)}])
-def test_pieces_of_a_large_mesh_follow_from_the_mesh_alone(
+def test_chunks_of_a_large_mesh_do_not_depend_on_bricks(
     scan: Scan, crop: dict[str, Any], tmp_path: Path
 ) -> None:
     ways: dict[str, dict[str, Any]] = {"one": {}, "small": {"brick_size": 0.08}, "tight": {"memory": 1.5}}
@@ -118,42 +118,42 @@ def test_pieces_of_a_large_mesh_follow_from_the_mesh_alone(
     for number, extent in enumerate(pieces.extents):
         part = pieces.read_chunk(number)
         places = part.mesh.vertices[: part.own_count]
-        # Each owned vertex is in the box, or on an edge that leads out of it.
+        # Each owned vertex is in the box, or on an edge that leads out of the box.
         assert ((places >= np.array(extent.low) - 1e-9) & (places < np.array(extent.high))).all()
 
 
-def test_the_surface_is_a_manifold_as_fused(in_one_piece: bytes, tmp_path: Path) -> None:
-    (tmp_path / "fused.ply").write_bytes(in_one_piece)
+def test_the_fused_surface_is_manifold(fused_in_memory: bytes, tmp_path: Path) -> None:
+    (tmp_path / "fused.ply").write_bytes(fused_in_memory)
     found = topology(read_ply(tmp_path / "fused.ply"))
     assert found.is_manifold
     assert found.is_oriented
 
 
-def test_what_does_not_fit_is_fused_in_bricks_unasked(
-    scan: Scan, in_one_piece: bytes, tmp_path: Path
+def test_fusion_beyond_the_memory_limit_uses_bricks_automatically(
+    scan: Scan, fused_in_memory: bytes, tmp_path: Path
 ) -> None:
     write_ply(tmp_path / "fused.ply", fuse(scan, voxel_size=0.01, memory=1.2).mesh)
-    assert (tmp_path / "fused.ply").read_bytes() == in_one_piece
+    assert (tmp_path / "fused.ply").read_bytes() == fused_in_memory
 
 
-def test_a_brick_that_does_not_fit_says_so(scan: Scan) -> None:
+def test_a_brick_beyond_the_memory_limit_is_an_error(scan: Scan) -> None:
     with pytest.raises(StageError, match="exceed its memory limit of 1 MB"):
         fuse(scan, voxel_size=0.004, brick_size=4.0, memory=1)
 
 
-def test_bricks_are_for_voxels_of_our_own(scan: Scan) -> None:
+def test_bricks_need_the_own_backend(scan: Scan) -> None:
     with pytest.raises(UsageError, match="brick_size"):
         fuse(scan, brick_size=1.0, backend="open3d")
 
 
-def test_a_crop_cuts_what_bricks_make_as_it_cuts_one_piece(scan: Scan) -> None:
+def test_a_crop_in_bricks_equals_a_crop_in_memory(scan: Scan) -> None:
     crop: dict[str, Any] = {"voxel_size": 0.01, "radius": 0.2, "center": (0.1, -0.1, 0.1)}
     whole, joined = fuse(scan, **crop).mesh, fuse(scan, brick_size=0.16, **crop).mesh
     assert (whole.vertices == joined.vertices).all()
     assert (whole.triangles == joined.triangles).all()
 
 
-def test_a_frame_that_cannot_be_read_is_skipped_alike(scan: Scan, tmp_path: Path) -> None:
+def test_an_unreadable_frame_is_skipped_in_bricks(scan: Scan, tmp_path: Path) -> None:
     (tmp_path / "bad.jpg").write_bytes(b"no picture")
     frames = [*scan.frames]
     frames[3] = replace(frames[3], color=tmp_path / "bad.jpg")
@@ -166,7 +166,7 @@ def test_a_frame_that_cannot_be_read_is_skipped_alike(scan: Scan, tmp_path: Path
         fuse(broken, voxel_size=0.02, brick_size=0.3, max_skipped_ratio=0)
 
 
-def test_a_wrong_guess_of_how_often_voxels_were_seen_is_put_right(
+def test_a_wrong_guess_of_the_minimum_observation_count_is_corrected(
     scan: Scan, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     whole = fuse(scan, voxel_size=0.02)
@@ -181,8 +181,8 @@ def test_a_wrong_guess_of_how_often_voxels_were_seen_is_put_right(
     assert (whole.mesh.vertices == joined.mesh.vertices).all()
 
 
-class Shelf:
-    """Bricks kept in a folder, by what decided them."""
+class FolderBrickStore:
+    """Brick store in a folder, with the brick, its frames and the decisions as key."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -208,8 +208,8 @@ class Shelf:
 
 
 @pytest.mark.slow
-def test_bricks_that_are_kept_are_not_fused_again(scan: Scan, in_one_piece: bytes, tmp_path: Path) -> None:
-    kept = Shelf(tmp_path)
+def test_cached_bricks_are_not_fused_again(scan: Scan, fused_in_memory: bytes, tmp_path: Path) -> None:
+    kept = FolderBrickStore(tmp_path)
     params = FuseParams(voxel_size=0.01, brick_size=0.3, memory=2)
 
     def again() -> FusedInBricks:
@@ -217,22 +217,20 @@ def test_bricks_that_are_kept_are_not_fused_again(scan: Scan, in_one_piece: byte
 
     first = again()
     assert again().fused_brick_count == 0
-    assert (tmp_path / "fused.ply").read_bytes() == in_one_piece
-    # As after a run that was killed: what there was is taken, the rest is made.
+    assert (tmp_path / "fused.ply").read_bytes() == fused_in_memory
+    # After a killed run: existing bricks are used, the rest is fused.
     for name in list(kept.places)[::3]:
         del kept.places[name]
     assert 0 < again().fused_brick_count < first.fused_brick_count
-    assert (tmp_path / "fused.ply").read_bytes() == in_one_piece
+    assert (tmp_path / "fused.ply").read_bytes() == fused_in_memory
 
 
-def test_a_frame_skipped_for_its_colours_is_told_from_bricks_that_are_kept(
-    scan: Scan, tmp_path: Path
-) -> None:
+def test_frames_skipped_for_their_colours_are_reported_from_cached_bricks(scan: Scan, tmp_path: Path) -> None:
     (tmp_path / "bad.jpg").write_bytes(b"no picture")
     frames = [*scan.frames]
     frames[3] = replace(frames[3], color=tmp_path / "bad.jpg")
     work = prepare_fusion(replace(scan, frames=frames), FuseParams(voxel_size=0.02, brick_size=0.3))
-    kept = Shelf(tmp_path)
+    kept = FolderBrickStore(tmp_path)
     first, again = (fuse_in_bricks(work, tmp_path / "fused.ply", brick_store=kept) for _ in range(2))
     assert again.fused_brick_count == 0
     assert [one.name for one in first.skipped] == [one.name for one in again.skipped] == [frames[3].name]
@@ -243,7 +241,7 @@ def test_a_frame_skipped_for_its_colours_is_told_from_bricks_that_are_kept(
 
 
 @pytest.mark.slow
-def test_a_real_kitchen_in_bricks_is_the_one_in_one_piece(shared_data: Path, tmp_path: Path) -> None:
+def test_a_real_kitchen_in_bricks_equals_in_memory_fusion(shared_data: Path, tmp_path: Path) -> None:
     kitchen = read_scan(shared_data / "rgbd" / "7scenes_redkitchen")
     every_fifth = replace(kitchen, frames=kitchen.frames[::5])
     for name, params in {"whole": {}, "bricks": {"brick_size": 1.0, "memory": 10}}.items():

@@ -1,4 +1,4 @@
-"""What is inside of a crop, what of a depth map and of a mesh is left, and what is fused of it."""
+"""Crops: containment, cropped depth maps and meshes, and fusion of the cropped region."""
 
 from __future__ import annotations
 
@@ -33,18 +33,18 @@ points = st.tuples(numbers, numbers, numbers)
 
 
 @st.composite
-def boxes(draw: st.DrawFn) -> tuple[float, ...]:
+def draw_boxes(draw: st.DrawFn) -> tuple[float, ...]:
     low, size = draw(points), draw(st.tuples(*3 * [st.floats(0.01, 2)]))
     return (*low, *np.add(low, size).tolist())
 
 
 @st.composite
-def crops(draw: st.DrawFn) -> Crop:
+def draw_crops(draw: st.DrawFn) -> Crop:
     has_ball, has_plane = draw(st.booleans()), draw(st.booleans())
     normal = np.array(draw(points.filter(lambda p: np.linalg.norm(p) > 0.1)))
     normal /= np.linalg.norm(normal)
     return Crop(
-        box=draw(st.none() | boxes()),
+        box=draw(st.none() | draw_boxes()),
         center=draw(points) if has_ball else None,
         radius=draw(st.floats(0.01, 2)) if has_ball else None,
         normal=tuple(normal.tolist()) if has_plane else None,
@@ -53,23 +53,23 @@ def crops(draw: st.DrawFn) -> Crop:
 
 
 def is_inside(crop: Crop, place: Floats) -> bool:
-    """Say it as a person would."""
+    """Check containment by separate conditions for box, sphere and plane."""
     in_box = crop.box is None or all(crop.box[k] <= place[k] <= crop.box[3 + k] for k in range(3))
     in_ball = crop.radius is None or sum((place - crop.center) ** 2) <= crop.radius**2
     return in_box and in_ball and (crop.normal is None or np.dot(crop.normal, place) >= crop.height)
 
 
-@given(crops(), st.lists(points, min_size=1, max_size=5))
+@given(draw_crops(), st.lists(points, min_size=1, max_size=5))
 @settings(max_examples=50)
-def test_points_are_outside_by_a_distance_that_is_none_inside(crop: Crop, places: list[Any]) -> None:
+def test_the_distance_to_a_crop_is_zero_inside(crop: Crop, places: list[Any]) -> None:
     outside = crop.compute_distance(np.array(places))
     for place, far in zip(np.array(places), outside, strict=True):
         assert abs(far) < 1e-9 or (far < 0) == is_inside(crop, place)
 
 
-@given(crops(), points, points)
+@given(draw_crops(), points, points)
 @settings(max_examples=50)
-def test_a_step_is_no_shorter_than_what_it_brings_further_outside(crop: Crop, a: Any, b: Any) -> None:
+def test_the_distance_to_a_crop_is_1_lipschitz(crop: Crop, a: Any, b: Any) -> None:
     one, other = crop.compute_distance(np.array([a, b]))
     assert not crop or abs(one - other) <= np.linalg.norm(np.subtract(a, b)) + 1e-9
 
@@ -79,16 +79,14 @@ def view() -> PosedDepth:
     return read_posed_depth(frames("ball")[3], LIMITS)
 
 
-@given(crops(), st.floats(0, 0.5))
+@given(draw_crops(), st.floats(0, 0.5))
 @settings(max_examples=30)
-def test_depth_that_is_left_is_inside_and_what_is_not_left_was_not(
-    view: PosedDepth, crop: Crop, by: float
-) -> None:
+def test_cropped_depth_is_exactly_the_depth_inside(view: PosedDepth, crop: Crop, by: float) -> None:
     was = view.surface.depth
     inside = mask_pixels_inside(view, crop, by)
     left = crop_depth(view, crop).surface.depth
     assert (left == np.where(mask_pixels_inside(view, crop), was, 0)).all()
-    # In the world by another way: as the camera's matrix has it, row and column swapped into x and y.
+    # Unproject differently: with the camera matrix, columns as x and rows as y.
     rows, columns = np.nonzero(was)
     rays = np.linalg.solve(CAMERA.matrix, np.stack([columns, rows, np.ones(len(rows))])).T
     places = (rays * was[rows, columns, None]) @ view.pose[:3, :3].T + view.pose[:3, 3]
@@ -98,13 +96,13 @@ def test_depth_that_is_left_is_inside_and_what_is_not_left_was_not(
     assert np.count_nonzero(inside) == np.count_nonzero(inside[rows, columns]), "and none without depth"
 
 
-def test_no_crop_changes_nothing(view: PosedDepth) -> None:
+def test_an_empty_crop_keeps_the_depth(view: PosedDepth) -> None:
     assert not Crop()
     assert (crop_depth(view, Crop()).surface.depth == view.surface.depth).all()
     assert (Crop().compute_distance(np.zeros((2, 3))) < 0).all()
 
 
-def test_a_mesh_keeps_the_triangles_that_are_inside_with_their_colours_and_order() -> None:
+def test_a_cropped_mesh_keeps_colours_and_order() -> None:
     vertices = np.array([[x, y, 0.0] for y in (0, 1) for x in range(5)])
     triangles = np.array([[x, x + 1, x + 5] for x in range(4)], np.int32)
     colors = np.arange(30, dtype=np.uint8).reshape(10, 3)
@@ -129,13 +127,11 @@ def whole() -> FusionResult:
     ],
     ids=str,
 )
-def test_what_is_fused_of_a_crop_is_the_whole_mesh_cut_within_a_voxel(
-    whole: FusionResult, crop: Crop
-) -> None:
+def test_fusing_a_crop_equals_cropping_the_fused_mesh_within_a_voxel(whole: FusionResult, crop: Crop) -> None:
     part = fuse(frames("ball"), **SAME, box=crop.box, center=crop.center, radius=crop.radius)
     assert part.crop == crop
     assert (crop.compute_distance(part.mesh.vertices) <= 0).all()
-    # All that is there is of the whole mesh, and all of the whole mesh that is inside is there.
+    # All of the part belongs to the whole mesh, and all of the whole mesh inside the crop is in the part.
     off, _ = cKDTree(whole.mesh.vertices).query(part.mesh.vertices)
     assert np.percentile(off, 99) < 1e-6
     assert off.max() < VOXEL
@@ -152,7 +148,7 @@ def test_the_same_crop_gives_the_same_bytes() -> None:
     assert one.triangles.tobytes() == other.triangles.tobytes()
 
 
-def test_voxels_are_as_large_as_what_is_left_asks_for() -> None:
+def test_the_voxel_size_follows_the_cropped_depth() -> None:
     # The floor is farther away.
     floor = fuse(frames("ball"), box=(-1, -1, -0.7, 1, 1, -0.5))
     thing = fuse(frames("ball"), radius=0.25)
@@ -166,7 +162,7 @@ def test_voxels_are_as_large_as_what_is_left_asks_for() -> None:
 
 @pytest.mark.parametrize("roll", [0.0, 90.0, -90.0], ids=["level", "upright", "the other way"])
 @pytest.mark.parametrize("table", [0.45, 0.3])
-def test_a_ball_is_left_of_a_ball_on_a_table(roll: float, table: float) -> None:
+def test_plane_removal_keeps_only_the_ball(roll: float, table: float) -> None:
     fused = fuse(frames("ball", roll=roll, table=table), remove_plane=True)
     assert fused.diagnostics == ()
     assert fused.support is not None
@@ -182,8 +178,8 @@ def test_a_ball_is_left_of_a_ball_on_a_table(roll: float, table: float) -> None:
     assert np.percentile(red, 10) > 140
 
 
-def test_the_lid_of_a_box_is_no_table() -> None:
-    # It is as large as what is seen of this table.
+def test_the_lid_of_a_box_is_not_removed_as_table() -> None:
+    # The lid is as large as the visible part of this table.
     fused = fuse(frames("box", table=0.3), remove_plane=True)
     assert fused.support is not None
     assert abs(fused.support.offset_m) < 0.001
@@ -192,7 +188,7 @@ def test_the_lid_of_a_box_is_no_table() -> None:
     assert reach == pytest.approx(BOX_HALF_SIZE[:2], abs=2 * fused.voxel_size)
 
 
-def test_a_table_is_left_where_the_center_says_that_it_is_the_thing() -> None:
+def test_a_table_is_kept_if_the_center_marks_it_as_object() -> None:
     fused = fuse(frames("nothing", table=0.2), remove_plane=True, center=(0, 0, -0.3), radius=0.7)
     assert fused.support is not None
     assert abs(fused.support.offset_m + 0.6) < 0.001
@@ -200,7 +196,7 @@ def test_a_table_is_left_where_the_center_says_that_it_is_the_thing() -> None:
     assert np.linalg.norm(fused.mesh.vertices[:, :2], axis=1).max() < 0.2 + fused.voxel_size
 
 
-def test_nothing_is_removed_and_that_is_told_where_nothing_stands_on_the_plane() -> None:
+def test_a_plane_without_objects_is_kept_and_reported() -> None:
     given = {"radius": 0.3, "voxel_size": VOXEL}
     bare, fused = (fuse(frames("nothing"), **given, remove_plane=remove) for remove in (False, True))
     assert fused.support is None
@@ -212,8 +208,8 @@ def test_nothing_is_removed_and_that_is_told_where_nothing_stands_on_the_plane()
     assert fused.mesh.vertices.tobytes() == bare.mesh.vertices.tobytes()
 
 
-def test_a_wall_is_no_table() -> None:
-    # The same, with the world and the cameras turned on their sides: up is along the table.
+def test_a_wall_is_not_removed_as_table() -> None:
+    # The same scene with world and cameras rotated by 90°: the up direction is in the plane of the table.
     turn = np.array([[0.0, 0, 1], [0, 1, 0], [-1, 0, 0]])
     level = [pose(angle, lift=0.05) for angle in (-15, -5, 5, 15)]
     wall = []
@@ -227,7 +223,7 @@ def test_a_wall_is_no_table() -> None:
     assert "because none was found under the object" in str(fused.diagnostics[0])
 
 
-def test_that_nearly_nothing_is_left_is_told() -> None:
+def test_removing_nearly_everything_is_reported() -> None:
     fused = fuse(frames("ball"), remove_plane=True, plane_margin=0.23, voxel_size=0.01)
     (said,) = map(str, fused.diagnostics)
     assert said.startswith("remove_plane: only 0.")
@@ -242,7 +238,7 @@ def test_that_nearly_nothing_is_left_is_told() -> None:
         ({"remove_plane": True, "plane_margin": 0.5}, "the half-space above the plane ("),
     ],
 )
-def test_a_crop_that_leaves_nothing_is_an_error_with_the_numbers(changes: dict[str, Any], of: str) -> None:
+def test_an_empty_crop_is_an_error_with_its_extent(changes: dict[str, Any], of: str) -> None:
     with pytest.raises(UsageError) as caught:
         fuse(frames("ball"), **changes)
     assert str(caught.value).startswith("the crop is empty: none of ")
@@ -250,7 +246,7 @@ def test_a_crop_that_leaves_nothing_is_an_error_with_the_numbers(changes: dict[s
     assert of in str(caught.value)
 
 
-def test_a_crop_in_which_no_surface_comes_out_says_from_how_many_points() -> None:
+def test_a_crop_without_surface_is_an_error_with_the_point_count() -> None:
     with pytest.raises(
         InputError, match=r"inside 0\.04 m around \(.*\) \([\d,]+ depth points there\)\. Check"
     ):
@@ -259,7 +255,7 @@ def test_a_crop_in_which_no_surface_comes_out_says_from_how_many_points() -> Non
         )
 
 
-def test_parameters_that_have_no_effect_are_told() -> None:
+def test_parameters_without_effect_are_reported() -> None:
     fused = fuse(frames("ball"), center=(0, 0, 0), plane_margin=0.1, voxel_size=0.03)
     assert list(map(str, fused.diagnostics)) == [
         "center has no effect without radius or remove_plane",
@@ -268,13 +264,13 @@ def test_parameters_that_have_no_effect_are_told() -> None:
     assert not fused.crop
 
 
-def test_frames_that_show_nothing_of_it_are_no_bad_ones() -> None:
+def test_frames_outside_the_crop_are_not_skipped_frames() -> None:
     away = [replace(frame, name=f"away-{k}") for k, frame in enumerate(frames("ball"))]
     for frame in away:
         assert frame.world_from_camera is not None
         frame.world_from_camera[:3, 3] += [30, 0, 0]
     near = frames("ball")
-    # Two of 34 frames show it, and neither is among those that are looked at first.
+    # Two of 34 frames show the region, and neither is in the sample for estimates.
     scan = [*away, near[2], near[3], *(replace(frame, name=f"more-{frame.name}") for frame in away)]
     fused = fuse(scan, box=(-0.3, -0.3, -0.1, 0.3, 0.3, 0.4))
     assert (fused.frames, fused.outside, fused.skipped) == (2, 32, ())
@@ -284,19 +280,19 @@ def test_frames_that_show_nothing_of_it_are_no_bad_ones() -> None:
 
 
 @pytest.mark.parametrize("box", [(0, 0, 0, 1, 1, 0), (1, 0, 0, 0, 1, 1), (0, 0, 0, 0, 0, 0)])
-def test_a_box_has_its_lowest_corner_first(box: Any) -> None:
+def test_a_box_must_have_its_lowest_corner_first(box: Any) -> None:
     with pytest.raises(UsageError, match=r"^box is .* m; the first three numbers must be the lowest corner"):
         FuseParams(box=box)
 
 
-def test_boxes_are_taken_as_any_six_numbers() -> None:
+def test_boxes_are_accepted_as_any_six_numbers() -> None:
     given = [FuseParams(box=box) for box in ([0, 0, 0, 1, 1, 1], np.array([0, 0, 0, 1, 1, 1.0]))]  # type: ignore[arg-type]
     assert given[0] == given[1] == FuseParams(box=(0.0, 0.0, 0.0, 1.0, 1.0, 1.0))
     with pytest.raises(UsageError, match=r"box is .*; it must be 6 finite numbers"):
         FuseParams(box=(0, 0, 0))  # type: ignore[arg-type]
 
 
-def test_the_box_of_objects_is_left_without_its_table(shared_data: Path) -> None:
+def test_plane_removal_on_a_real_tabletop(shared_data: Path) -> None:
     scan = read_scan(shared_data / "rgbd" / "tabletop_box_realsense")
     fused = fuse(scan, remove_plane=True, radius=0.3, voxel_size=0.004)
     assert fused.diagnostics == ()
@@ -304,7 +300,7 @@ def test_the_box_of_objects_is_left_without_its_table(shared_data: Path) -> None
     assert fused.support.spread_m < 0.002
     normal = np.array(fused.support.normal)
     assert normal @ [-0.03, -0.947, -0.32] > np.cos(np.radians(1))
-    # Nothing level is left near the table: what is there stands.
+    # No horizontal surface remains near the table; the remaining surface is steep.
     corners = fused.mesh.vertices[fused.mesh.triangles]
     across = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     area = np.linalg.norm(across, axis=1) / 2

@@ -1,4 +1,7 @@
-"""Small depth made larger by a photo: exact on planes, one side or the other at jumps, nothing between."""
+"""Depth upsampling guided by a photo:
+
+exact on planes, sharp at discontinuities, without intermediate depth.
+"""
 
 from __future__ import annotations
 
@@ -17,18 +20,21 @@ SMALL = Camera(40, 30, 50.0, 50.0, 19.5, 14.5)
 NEAR, FAR = 1.0, 2.0
 
 
-def inverse_plane(camera: Camera, at: float, across: float, down: float) -> np.ndarray:
-    """Depth of a plane: 1/z is `at` straight ahead and linear in x/z and y/z."""
+def compute_plane_depth(camera: Camera, at: float, across: float, down: float) -> np.ndarray:
+    """Compute the depth of a plane: 1/z is `at` straight ahead and linear in x/z and y/z."""
     u, v = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
     x, y = (u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy
     return (1 / (at + across * x + down * y)).astype(np.float32)
 
 
-def scene(camera: Camera, edge: float) -> np.ndarray:
-    """A slanted near plane left of a slanting edge, and a far one right of it."""
+def make_scene(camera: Camera, edge: float) -> np.ndarray:
+    """Make a slanted near plane to the left of a slanted edge, and a far plane to its right."""
     u, v = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
     x, y = (u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy
-    near, far = inverse_plane(camera, 1 / NEAR, 0.1, 0.2), inverse_plane(camera, 1 / FAR, -0.05, 0.1)
+    near, far = (
+        compute_plane_depth(camera, 1 / NEAR, 0.1, 0.2),
+        compute_plane_depth(camera, 1 / FAR, -0.05, 0.1),
+    )
     return np.where(x + 0.3 * y < edge, near, far)
 
 
@@ -44,13 +50,13 @@ def photo(depth: np.ndarray, near: tuple[int, ...], far: tuple[int, ...]) -> np.
     seed=st.integers(0, 9),
 )
 @settings(max_examples=20, deadline=None)
-def test_planes_are_kept_whatever_the_photo_shows(factor, slope, seed):
+def test_planes_are_kept_for_any_photo(factor, slope, seed):
     large = scale_camera(SMALL, factor * SMALL.width, factor * SMALL.height)
     color = np.random.default_rng(seed).integers(0, 256, (large.height, large.width, 3)).astype(np.uint8)
-    found = upsample_depth(inverse_plane(SMALL, 1.0, *slope), color, factor)
+    found = upsample_depth(compute_plane_depth(SMALL, 1.0, *slope), color, factor)
     inside = slice(factor, -factor), slice(factor, -factor)
-    truth = inverse_plane(large, 1.0, *slope)
-    # So oblique that neighbours may be of two surfaces, they are taken for less oblique than they are.
+    truth = compute_plane_depth(large, 1.0, *slope)
+    # Where neighbours may be on two surfaces because the plane is so oblique, the slope is underestimated.
     np.testing.assert_allclose(found[inside], truth[inside], rtol=1e-3)
     assert np.mean(np.abs(found[inside] / truth[inside] - 1) < 1e-5) > 0.9
 
@@ -59,17 +65,20 @@ def test_planes_are_kept_whatever_the_photo_shows(factor, slope, seed):
 def test_no_depth_between_two_surfaces(colors):
     for factor in (2, 3, 4):
         large = scale_camera(SMALL, factor * SMALL.width, factor * SMALL.height)
-        truth = scene(large, 0.02)
-        found = upsample_depth(scene(SMALL, 0.02), photo(truth, *colors), factor)
-        near, far = inverse_plane(large, 1 / NEAR, 0.1, 0.2), inverse_plane(large, 1 / FAR, -0.05, 0.1)
+        truth = make_scene(large, 0.02)
+        found = upsample_depth(make_scene(SMALL, 0.02), photo(truth, *colors), factor)
+        near, far = (
+            compute_plane_depth(large, 1 / NEAR, 0.1, 0.2),
+            compute_plane_depth(large, 1 / FAR, -0.05, 0.1),
+        )
         off = np.minimum(np.abs(found - near) / near, np.abs(found - far) / far)
         assert off.max() < 0.02
 
 
-def test_the_photo_moves_the_edge_to_where_it_is():
+def test_the_photo_moves_the_edge_to_its_true_position():
     factor = 4
     large = scale_camera(SMALL, factor * SMALL.width, factor * SMALL.height)
-    truth, small = scene(large, 0.023), scene(SMALL, 0.023)
+    truth, small = make_scene(large, 0.023), make_scene(SMALL, 0.023)
     wrong = {
         name: float(np.mean(np.abs(upsample_depth(small, color, factor) - truth) > 0.1))
         for name, color in {
@@ -82,19 +91,19 @@ def test_the_photo_moves_the_edge_to_where_it_is():
     assert wrong["grey"] < 1.3 * wrong["none"]
 
 
-def test_colours_that_do_not_tell_the_sides_apart_move_no_edge():
-    # Stripes across the edge: near and far have both colours.
+def test_ambiguous_colours_do_not_move_the_edge():
+    # Stripes across the edge: near and far surface have both colours.
     factor = 4
     large = scale_camera(SMALL, factor * SMALL.width, factor * SMALL.height)
-    small = scene(SMALL, 0.02)
+    small = make_scene(SMALL, 0.02)
     stripes = np.zeros((large.height, large.width, 3), np.uint8) + np.uint8(40)
     stripes[(np.arange(large.height) // 8) % 2 == 0] = 220
     guided, plain = upsample_depth(small, stripes, factor), upsample_depth(small, None, factor)
     assert np.mean(np.abs(guided - plain) > 0.1) < 0.005
 
 
-def test_missing_samples_stay_missing_and_spoil_no_neighbour():
-    small = scene(SMALL, 0.02)
+def test_missing_samples_stay_missing_and_do_not_affect_neighbours():
+    small = make_scene(SMALL, 0.02)
     holes = np.random.default_rng(4).random(small.shape) < 0.2
     small[holes] = 0
     found = upsample_depth(small, None, 3)
@@ -104,7 +113,7 @@ def test_missing_samples_stay_missing_and_spoil_no_neighbour():
 
 
 @pytest.mark.parametrize("depth", [np.zeros((3, 4), np.float32), np.full((1, 1), 2, np.float32)])
-def test_next_to_nothing(depth):
+def test_tiny_depth_maps_are_repeated(depth):
     found = upsample_depth(depth, np.zeros((2 * depth.shape[0], 2 * depth.shape[1], 3), np.uint8), 2)
     np.testing.assert_array_equal(found, np.repeat(np.repeat(depth, 2, axis=0), 2, axis=1))
 
@@ -119,38 +128,38 @@ def test_noise_alone_gives_finite_depth_within_what_was_measured():
 
 def test_a_photo_of_another_size_is_refused():
     with pytest.raises(InputError, match="must be 80 × 60"):
-        upsample_depth(scene(SMALL, 0), np.zeros((30, 40, 3), np.uint8), 2)
+        upsample_depth(make_scene(SMALL, 0), np.zeros((30, 40, 3), np.uint8), 2)
 
 
-def framed(factor: int, **changes) -> Frame:
+def make_frame(factor: int, **changes) -> Frame:
     large = scale_camera(SMALL, factor * SMALL.width, factor * SMALL.height)
-    color = photo(scene(large, 0.02), (200, 60, 60), (60, 60, 200))
-    given = {"color": color, "depth": scene(SMALL, 0.02), "world_from_camera": np.eye(4), **changes}
+    color = photo(make_scene(large, 0.02), (200, 60, 60), (60, 60, 200))
+    given = {"color": color, "depth": make_scene(SMALL, 0.02), "world_from_camera": np.eye(4), **changes}
     return Frame("a", SMALL, **given)
 
 
-def test_only_a_frame_alone_with_a_larger_photo_is_made_larger_by_itself():
-    (larger,) = upsample_single_frame([framed(3)], FuseParams())
+def test_only_single_frames_with_a_larger_photo_are_upsampled_by_default():
+    (larger,) = upsample_single_frame([make_frame(3)], FuseParams())
     assert (larger.camera.width, larger.depth.shape, larger.color.shape) == (80, (60, 80), (60, 80, 3))
-    same = framed(1)
+    same = make_frame(1)
     for frames, params in (
         ([same], FuseParams()),
-        ([framed(3)], FuseParams(upsample="off")),
-        ([framed(3), framed(3)], FuseParams(upsample="guided")),
-        ([framed(3, color=None)], FuseParams()),
-        ([framed(3, depth=None)], FuseParams()),
+        ([make_frame(3)], FuseParams(upsample="off")),
+        ([make_frame(3), make_frame(3)], FuseParams(upsample="guided")),
+        ([make_frame(3, color=None)], FuseParams()),
+        ([make_frame(3, depth=None)], FuseParams()),
     ):
         assert upsample_single_frame(frames, params) == frames
     (asked,) = upsample_single_frame([same], FuseParams(upsample="guided", upsample_factor=4))
     assert asked.depth.shape == (120, 160)
 
 
-def test_confidence_and_masks_count_before():
+def test_confidence_and_masks_are_applied_before_upsampling():
     sure = np.full((30, 40), 2, np.uint8)
     sure[:10] = 1
     mask = np.full((30, 40), 255, np.uint8)
     mask[20:] = 0
-    frame = framed(2, confidence=sure, min_confidence=2, mask=mask)
+    frame = make_frame(2, confidence=sure, min_confidence=2, mask=mask)
     found = upsample_frame(frame, FuseParams())
     assert (found.confidence, found.mask) == (None, None)
     assert not found.depth[:20].any()
@@ -158,32 +167,32 @@ def test_confidence_and_masks_count_before():
     assert (found.depth[20:40] > 0).all()
 
 
-def test_a_colour_camera_that_stands_aside():
-    # The photo is taken 3 cm to the right: the edge lies elsewhere in it than in the depth map.
+def test_a_colour_camera_with_an_offset():
+    # The photo is taken 3 cm to the right, so the edge is at another position than in the depth map.
     factor, aside = 4, 0.03
     large = scale_camera(SMALL, factor * SMALL.width, factor * SMALL.height)
     color_from_depth = np.eye(4)
     color_from_depth[0, 3] = -aside
     u, v = np.meshgrid(np.arange(large.width), np.arange(large.height))
     x, y = (u - large.cx) / large.fx, (v - large.cy) / large.fy
-    # Of the near plane's edge, about a metre away.
+    # Of the edge of the near plane, about 1 m away.
     near = (x + 0.3 * y + aside) < 0.02
     color = np.where(near[..., None], np.uint8([200, 60, 60]), np.uint8([60, 60, 200])).astype(np.uint8)
-    frame = framed(factor, color=color, color_camera=large, color_from_depth=color_from_depth)
+    frame = make_frame(factor, color=color, color_camera=large, color_from_depth=color_from_depth)
     found = upsample_frame(frame, FuseParams(upsample_factor=factor))
     assert (found.color_camera, found.color_from_depth) == (None, None)
     is_red = found.color[..., 0] > found.color[..., 2]
-    assert np.mean(is_red == (scene(large, 0.02) < 1.5)) > 0.97
+    assert np.mean(is_red == (make_scene(large, 0.02) < 1.5)) > 0.97
 
 
-def test_fusing_a_frame_alone_gives_finer_voxels_and_several_the_same():
-    frames = [framed(3)]
+def test_upsampling_refines_voxels_of_single_frames_only():
+    frames = [make_frame(3)]
     small, larger = fuse(frames, upsample="off"), fuse(frames)
     assert larger.voxel_size == pytest.approx(small.voxel_size / 2, rel=0.1)
     assert len(larger.mesh.triangles) > 2 * len(small.mesh.triangles)
     moved = np.eye(4)
     moved[0, 3] = 0.01
-    several = [*frames, framed(3, world_from_camera=moved)]
+    several = [*frames, make_frame(3, world_from_camera=moved)]
     both = [fuse(several, upsample=how) for how in ("auto", "guided")]
     assert both[0].voxel_size == both[1].voxel_size
     assert both[0].pixels_used != both[1].pixels_used

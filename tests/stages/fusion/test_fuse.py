@@ -1,4 +1,4 @@
-"""Fusion of scenes whose depth maps follow from a formula, and of a real kitchen."""
+"""Fusion of analytic scenes and of a real kitchen."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ RADIUS = 0.5
 VOXEL = 0.02
 
 
-def looking(eye: NDArray[np.float64], target: NDArray[np.float64]) -> NDArray[np.float64]:
-    """world_from_camera of a camera at `eye`; z of the world is up."""
+def look_at(eye: NDArray[np.float64], target: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Compute world_from_camera of a camera at `eye`; z of the world is up."""
     z = (target - eye) / np.linalg.norm(target - eye)
     x = np.cross(z, [0.0, 0.0, 1.0])
     x /= np.linalg.norm(x)
@@ -34,41 +34,41 @@ def looking(eye: NDArray[np.float64], target: NDArray[np.float64]) -> NDArray[np
     return pose
 
 
-def rays(pose: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Directions (h, w, 3) in the world, scaled so that depth is the ray's parameter."""
+def compute_rays(pose: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Compute ray directions (h, w, 3) in the world, scaled so that depth is the ray parameter."""
     u, v = np.meshgrid(np.arange(CAMERA.width), np.arange(CAMERA.height))
     d = np.stack([(u - CAMERA.cx) / CAMERA.fx, (v - CAMERA.cy) / CAMERA.fy, np.ones(u.shape)], axis=-1)
     return d @ pose[:3, :3].T
 
 
-def sphere_depth(pose: NDArray[np.float64], center: NDArray[np.float64]) -> NDArray[np.float32]:
-    d, o = rays(pose), pose[:3, 3] - center
+def render_sphere_depth(pose: NDArray[np.float64], center: NDArray[np.float64]) -> NDArray[np.float32]:
+    d, o = compute_rays(pose), pose[:3, 3] - center
     a, b, c = (d * d).sum(-1), d @ o, o @ o - RADIUS**2
     root = b * b - a * c
     return np.where(root > 0, (-b - np.sqrt(np.maximum(root, 0))) / a, 0).astype(np.float32)
 
 
-def sphere_frames(center: NDArray[np.float64] | None = None) -> list[Frame]:
-    """A sphere from twelve sides, red where x > 0 in the world, blue elsewhere."""
+def render_sphere_frames(center: NDArray[np.float64] | None = None) -> list[Frame]:
+    """Render a sphere from twelve sides, red where x > 0 in the world, blue elsewhere."""
     center = np.zeros(3) if center is None else center
     frames = []
     for k in range(12):
         turn, height = 2 * np.pi * k / 12, (-0.9, 0.8)[k % 2]
         side = np.array([np.cos(turn), np.sin(turn), height])
         eye = center + 1.6 * side / np.linalg.norm(side)
-        pose = looking(eye, center)
-        depth = sphere_depth(pose, center)
-        x = (pose[:3, 3] + depth[..., None] * rays(pose))[..., 0] - center[0]
+        pose = look_at(eye, center)
+        depth = render_sphere_depth(pose, center)
+        x = (pose[:3, 3] + depth[..., None] * compute_rays(pose))[..., 0] - center[0]
         color = np.where(x[..., None] > 0, np.uint8([200, 30, 40]), np.uint8([20, 60, 220]))
         frames.append(Frame(f"{k:02}", CAMERA, color=color, depth=depth, world_from_camera=pose))
     return frames
 
 
-def plane_frame(height: float, tilt: float, k: int = 0) -> Frame:
-    """A camera over the plane z = 0, looking down by `tilt` radians below the horizon."""
+def render_plane_frame(height: float, tilt: float, k: int = 0) -> Frame:
+    """Render the plane z = 0 from above, with a camera that is tilted by `tilt` radians below the horizon."""
     eye = np.array([0.1 * k, 0.0, height])
-    pose = looking(eye, eye + np.array([np.cos(tilt), 0.0, -np.sin(tilt)]))
-    d = rays(pose)
+    pose = look_at(eye, eye + np.array([np.cos(tilt), 0.0, -np.sin(tilt)]))
+    d = compute_rays(pose)
     with np.errstate(divide="ignore"):
         depth = np.where(d[..., 2] < 0, -height / d[..., 2], 0)
     return Frame(
@@ -78,10 +78,10 @@ def plane_frame(height: float, tilt: float, k: int = 0) -> Frame:
 
 @pytest.fixture(scope="module")
 def sphere() -> FusionResult:
-    return fuse(sphere_frames(), voxel_size=VOXEL)
+    return fuse(render_sphere_frames(), voxel_size=VOXEL)
 
 
-def same(a: Mesh, b: Mesh) -> bool:
+def is_same(a: Mesh, b: Mesh) -> bool:
     return (
         a.vertices.tobytes() == b.vertices.tobytes()
         and a.triangles.tobytes() == b.triangles.tobytes()
@@ -90,29 +90,29 @@ def same(a: Mesh, b: Mesh) -> bool:
     )
 
 
-def test_vertices_lie_on_the_sphere(sphere: FusionResult) -> None:
+def test_vertices_are_on_the_sphere(sphere: FusionResult) -> None:
     error = np.linalg.norm(sphere.mesh.vertices, axis=1) - RADIUS
     assert abs(error.mean()) < 0.1 * VOXEL
     assert np.sqrt((error**2).mean()) < 0.15 * VOXEL
 
 
-def test_all_that_was_seen_of_the_sphere_is_there(sphere: FusionResult) -> None:
+def test_the_visible_sphere_is_complete(sphere: FusionResult) -> None:
     corners = sphere.mesh.vertices[sphere.mesh.triangles]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     area = np.linalg.norm(normals, axis=1).sum() / 2
     assert area > 0.9 * 4 * np.pi * RADIUS**2
-    # Counter-clockwise from outside.
+    # Counter-clockwise seen from outside.
     assert ((normals * corners.mean(axis=1)).sum(axis=1) > 0).mean() > 0.999
 
 
-def test_no_triangle_is_without_area(sphere: FusionResult) -> None:
+def test_no_triangle_is_degenerate(sphere: FusionResult) -> None:
     corners = sphere.mesh.vertices[sphere.mesh.triangles]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     assert (np.linalg.norm(normals, axis=1) > 0).all()
     assert len(np.unique(sphere.mesh.vertices, axis=0)) == len(sphere.mesh.vertices)
 
 
-def test_colours_are_where_they_belong(sphere: FusionResult) -> None:
+def test_colours_are_at_their_positions(sphere: FusionResult) -> None:
     assert sphere.mesh.colors is not None
     x = sphere.mesh.vertices[:, 0]
     red, blue = sphere.mesh.colors[x > 2 * VOXEL], sphere.mesh.colors[x < -2 * VOXEL]
@@ -121,14 +121,16 @@ def test_colours_are_where_they_belong(sphere: FusionResult) -> None:
 
 
 def test_the_world_origin_may_be_far_away() -> None:
-    # float32 alone is exact to 6 cm there.
+    # The precision of float32 is 6 cm there.
     far = np.array([512_000.0, -4_096_000.0, 256.0])
-    error = np.linalg.norm(fuse(sphere_frames(far), voxel_size=VOXEL).mesh.vertices - far, axis=1) - RADIUS
+    error = (
+        np.linalg.norm(fuse(render_sphere_frames(far), voxel_size=VOXEL).mesh.vertices - far, axis=1) - RADIUS
+    )
     assert np.sqrt((error**2).mean()) < 0.15 * VOXEL
 
 
-def closed_share(mesh: Mesh, x: tuple[float, float], y: tuple[float, float]) -> float:
-    """Share of downward rays over a rectangle of the plane z = 0 that hit the mesh."""
+def compute_closed_ratio(mesh: Mesh, x: tuple[float, float], y: tuple[float, float]) -> float:
+    """Compute the share of downward rays over a rectangle of the plane z = 0 that hit the mesh."""
     o3d = import_open3d()
     scene = o3d.t.geometry.RaycastingScene()
     scene.add_triangles(
@@ -142,21 +144,19 @@ def closed_share(mesh: Mesh, x: tuple[float, float], y: tuple[float, float]) -> 
 @pytest.mark.parametrize(
     ("tilt", "seen"), [(0.25, (1.5, 4.0)), (0.6, (1.0, 1.4)), (1.5, (0.35, 0.2))], ids=["14°", "34°", "86°"]
 )
-def test_a_plane_is_flat_and_closed_however_obliquely_it_is_seen(
-    tilt: float, seen: tuple[float, float]
-) -> None:
+def test_a_plane_is_flat_and_closed_at_any_viewing_angle(tilt: float, seen: tuple[float, float]) -> None:
     mesh = fuse(
-        [plane_frame(0.5, tilt, k) for k in range(4)], voxel_size=0.05, max_depth=5.0, max_jump=0.2
+        [render_plane_frame(0.5, tilt, k) for k in range(4)], voxel_size=0.05, max_depth=5.0, max_jump=0.2
     ).mesh
     # Far pixels are wider than half a voxel.
     assert np.abs(mesh.vertices[:, 2]).max() < 0.3 * 0.05
-    assert closed_share(mesh, seen, (-0.15, 0.15)) == 1
+    assert compute_closed_ratio(mesh, seen, (-0.15, 0.15)) == 1
 
 
-def test_flying_pixels_are_left_out() -> None:
-    """Depth halfway between a sphere and the wall behind it, as sensors report it along the outline."""
+def test_flying_pixels_are_rejected() -> None:
+    """Sensors report depth between an object and the wall behind along its outline."""
     frames = []
-    for frame in sphere_frames():
+    for frame in render_sphere_frames():
         depth = np.where(frame.depth == 0, 3.0, frame.depth).astype(np.float32)
         frames.append(replace(frame, depth=cv2.blur(depth, (3, 1))))
     mesh = fuse(frames, voxel_size=VOXEL, max_depth=2.5).mesh
@@ -164,7 +164,7 @@ def test_flying_pixels_are_left_out() -> None:
 
 
 def test_gaps_of_one_pixel_are_bridged() -> None:
-    whole, gaps = sphere_frames(), []
+    whole, gaps = render_sphere_frames(), []
     for frame in whole:
         depth = np.array(frame.depth)
         depth[::4] = 0
@@ -176,29 +176,29 @@ def test_gaps_of_one_pixel_are_bridged() -> None:
     assert len(found.mesh.triangles) > 0.97 * len(expected.mesh.triangles)
 
 
-def test_equal_input_gives_equal_bits_whatever_the_threads(
+def test_results_do_not_depend_on_the_number_of_threads(
     sphere: FusionResult, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    assert same(fuse(sphere_frames(), voxel_size=VOXEL).mesh, sphere.mesh)
+    assert is_same(fuse(render_sphere_frames(), voxel_size=VOXEL).mesh, sphere.mesh)
     monkeypatch.setattr("os.cpu_count", lambda: 7)
-    assert same(fuse(sphere_frames(), voxel_size=VOXEL).mesh, sphere.mesh)
+    assert is_same(fuse(render_sphere_frames(), voxel_size=VOXEL).mesh, sphere.mesh)
 
 
-def test_the_volume_grows_when_the_estimate_was_too_small(
+def test_the_volume_grows_if_the_estimate_is_too_small(
     sphere: FusionResult, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("scanloom.stages.fusion.fusion_plan._estimate_block_count", lambda *_: 1)
-    assert same(fuse(sphere_frames(), voxel_size=VOXEL).mesh, sphere.mesh)
+    assert is_same(fuse(render_sphere_frames(), voxel_size=VOXEL).mesh, sphere.mesh)
 
 
 def test_memory_is_bounded() -> None:
     with pytest.raises(StageError, match=r"exceed its memory limit of .* MB with voxels of 0.001 m"):
-        fuse(sphere_frames(), voxel_size=0.001, memory=20.0)
+        fuse(render_sphere_frames(), voxel_size=0.001, memory=20.0)
 
 
 def test_derived_scale_follows_the_depth(sphere: FusionResult) -> None:
-    fused = fuse(sphere_frames())
-    # Twice the spacing of pixels on the near side, about 1.3 m away.
+    fused = fuse(render_sphere_frames())
+    # Twice the pixel spacing on the near side, about 1.3 m away.
     assert fused.voxel_size == pytest.approx(2 * 1.3 / CAMERA.fx, rel=0.15)
     assert 3 * fused.voxel_size <= fused.truncation <= 5 * fused.voxel_size
     assert fused.max_depth > 1.6
@@ -207,20 +207,20 @@ def test_derived_scale_follows_the_depth(sphere: FusionResult) -> None:
     assert np.sqrt((error**2).mean()) < 0.3 * fused.voxel_size
 
 
-def test_a_factor_scales_what_is_derived_and_not_what_is_given() -> None:
-    plans = [fuse(sphere_frames(), voxel_factor=factor) for factor in (1.0, 2.0, 4.0)]
+def test_the_voxel_factor_scales_derived_sizes_only() -> None:
+    plans = [fuse(render_sphere_frames(), voxel_factor=factor) for factor in (1.0, 2.0, 4.0)]
     sizes = [plan.voxel_size for plan in plans]
     np.testing.assert_allclose(sizes, sizes[0] * np.array([1, 2, 4]), rtol=0.06)
     counts = [len(plan.mesh.triangles) for plan in plans]
     assert counts[1] == pytest.approx(counts[0] / 4, rel=0.3)
-    assert fuse(sphere_frames(), voxel_size=0.05, voxel_factor=4.0).voxel_size == 0.05
+    assert fuse(render_sphere_frames(), voxel_size=0.05, voxel_factor=4.0).voxel_size == 0.05
 
 
 def test_noise_is_measured_and_sets_the_scale() -> None:
     rng = np.random.default_rng(7)
     frames = []
     for k in range(12):
-        frame = plane_frame(1.5, 1.5, k)
+        frame = render_plane_frame(1.5, 1.5, k)
         noise = rng.normal(0, 0.02, (CAMERA.height, CAMERA.width))
         frames.append(replace(frame, depth=(frame.depth + noise * (frame.depth > 0)).astype(np.float32)))
     fused = fuse(frames, max_jump=0.2)
@@ -228,8 +228,8 @@ def test_noise_is_measured_and_sets_the_scale() -> None:
     assert fused.voxel_size == pytest.approx(2 * fused.noise.compute_deviation(1.5), rel=0.15)
 
 
-def before_a_wall(noise: float) -> list[Frame]:
-    """A wall at 1 m, and beside it one at 4 m, by a camera that moves aside; noise grows as z²."""
+def render_two_walls(noise: float) -> list[Frame]:
+    """Render walls at 1 m and 4 m from a camera that moves sideways; noise grows with z²."""
     rng = np.random.default_rng(8)
     frames = []
     for k in range(6):
@@ -242,8 +242,8 @@ def before_a_wall(noise: float) -> list[Frame]:
     return frames
 
 
-def test_depth_that_is_too_far_for_the_voxels_is_told() -> None:
-    frames = before_a_wall(0.01)
+def test_depth_too_noisy_for_the_voxel_size_is_reported() -> None:
+    frames = render_two_walls(0.01)
     fused = fuse(frames, max_jump=0.3)
     assert fused.max_depth < 3
     (said,) = map(str, fused.diagnostics)
@@ -253,12 +253,12 @@ def test_depth_that_is_too_far_for_the_voxels_is_told() -> None:
     taken = fuse(frames, max_jump=0.3, voxel_size=float(advised[1]))
     assert taken.diagnostics == ()
     assert taken.mesh.vertices[:, 2].max() > 3.5
-    # Whoever states a limit knows.
+    # An explicit limit needs no report.
     assert fuse(frames, max_jump=0.3, max_depth=2).diagnostics == ()
 
 
 def test_one_frame_is_enough() -> None:
-    frame = sphere_frames()[0]
+    frame = render_sphere_frames()[0]
     fused = fuse([frame], voxel_size=VOXEL)
     assert fused.min_weight == 1
     assert np.abs(np.linalg.norm(fused.mesh.vertices, axis=1) - RADIUS).max() < VOXEL
@@ -269,7 +269,7 @@ def test_one_frame_is_enough() -> None:
 def test_colour_of_another_size_and_a_grey_one() -> None:
     frames = [
         replace(f, color=cv2.resize(np.asarray(f.color), None, fx=2, fy=2, interpolation=cv2.INTER_NEAREST))
-        for f in sphere_frames()
+        for f in render_sphere_frames()
     ]
     mesh = fuse(frames, voxel_size=VOXEL).mesh
     assert mesh.colors is not None
@@ -281,9 +281,9 @@ def test_colour_of_another_size_and_a_grey_one() -> None:
 
 
 def test_no_colour_in_no_colour_out() -> None:
-    frames = [replace(f, color=None) for f in sphere_frames()]
+    frames = [replace(f, color=None) for f in render_sphere_frames()]
     assert fuse(frames, voxel_size=VOXEL).mesh.colors is None
-    assert fuse(sphere_frames(), voxel_size=VOXEL, color=False).mesh.colors is None
+    assert fuse(render_sphere_frames(), voxel_size=VOXEL, color=False).mesh.colors is None
 
 
 def test_lens_distortion_is_undone() -> None:
@@ -296,7 +296,7 @@ def test_lens_distortion_is_undone() -> None:
         x, y = (value / (1 - 0.6 * squared + 0.2 * squared**2) for value in (bent_x, bent_y))
     x = (x * CAMERA.fx + CAMERA.cx).astype(np.float32)
     y = (y * CAMERA.fy + CAMERA.cy).astype(np.float32)
-    frames = [plane_frame(0.5, 0.6, k) for k in range(3)]
+    frames = [render_plane_frame(0.5, 0.6, k) for k in range(3)]
     seen = [replace(f, depth=cv2.remap(np.asarray(f.depth), x, y, cv2.INTER_NEAREST)) for f in frames]
     straightened = fuse([replace(f, camera=bent) for f in seen], voxel_size=0.05).mesh.vertices[:, 2]
     crooked = fuse(seen, voxel_size=0.05).mesh.vertices[:, 2]
@@ -305,7 +305,7 @@ def test_lens_distortion_is_undone() -> None:
 
 
 def test_a_bad_frame_is_skipped_and_named(tmp_path: Path) -> None:
-    frames = sphere_frames()
+    frames = render_sphere_frames()
     damaged = tmp_path / "depth.png"
     damaged.write_bytes(b"no image")
     bad = replace(frames[3], depth=damaged), replace(frames[4], world_from_camera=None)
@@ -319,36 +319,38 @@ def test_a_bad_frame_is_skipped_and_named(tmp_path: Path) -> None:
     assert np.abs(fused.mesh.vertices - good.mesh.vertices).mean() < 0.01 * VOXEL
 
 
-def test_too_many_bad_frames_end_it() -> None:
-    frames = [replace(f, world_from_camera=None) if k < 4 else f for k, f in enumerate(sphere_frames())]
+def test_too_many_unusable_frames_are_an_error() -> None:
+    frames = [
+        replace(f, world_from_camera=None) if k < 4 else f for k, f in enumerate(render_sphere_frames())
+    ]
     with pytest.raises(InputError, match=r"3 of 12 frames cannot be used; .* allows 20%.*frame, 00.*pose"):
         fuse(frames, voxel_size=VOXEL)
     assert fuse(frames, voxel_size=VOXEL, max_skipped_ratio=0.4).frames == 8
 
 
-def _nothing(frame: Frame) -> Frame:
+def _remove_depth(frame: Frame) -> Frame:
     return replace(frame, depth=np.zeros((CAMERA.height, CAMERA.width), np.float32))
 
 
-def _bent(frame: Frame) -> Frame:
+def _scale_pose(frame: Frame) -> Frame:
     return replace(frame, world_from_camera=np.diag([1.0, 1.0, 2.0, 1.0]))
 
 
 @pytest.mark.parametrize(
     ("spoil", "message"),
     [
-        (_nothing, "no pixel has a depth"),
+        (_remove_depth, "no pixel has a depth"),
         (lambda f: replace(f, world_from_camera=None), "none of the 12 frames has a camera pose"),
         (lambda f: replace(f, depth=None), "none of the 12 frames has a depth map"),
         (lambda f: replace(f, world_from_camera=np.full((4, 4), np.nan)), "not finite"),
-        (_bent, "not a rotation"),
+        (_scale_pose, "not a rotation"),
         (lambda f: replace(f, depth=np.ones((10, 10), np.float32)), "10×10"),
     ],
     ids=["zero depth", "no poses", "no depth", "nan pose", "scaled pose", "wrong size"],
 )
 def test_unusable_input_is_refused_in_a_sentence(spoil: object, message: str) -> None:
     with pytest.raises(InputError, match=message):
-        fuse([spoil(f) for f in sphere_frames()])  # type: ignore[operator]
+        fuse([spoil(f) for f in render_sphere_frames()])  # type: ignore[operator]
 
 
 def test_no_frames() -> None:
@@ -358,7 +360,7 @@ def test_no_frames() -> None:
 
 def test_depth_out_of_the_limits_is_ignored() -> None:
     with pytest.raises(InputError, match="within the limits"):
-        fuse(sphere_frames(), min_depth=5.0)
+        fuse(render_sphere_frames(), min_depth=5.0)
 
 
 @pytest.mark.parametrize(
@@ -366,27 +368,27 @@ def test_depth_out_of_the_limits_is_ignored() -> None:
 )
 def test_wrong_parameters(wrong: dict[str, object]) -> None:
     with pytest.raises(UsageError):
-        fuse(sphere_frames(), **wrong)
+        fuse(render_sphere_frames(), **wrong)
 
 
-def test_cuda_is_not_replaced_in_silence() -> None:
+def test_cuda_is_not_replaced_silently() -> None:
     if import_open3d().core.cuda.is_available():
         pytest.skip("there is a CUDA device")
     with pytest.raises(UsageError, match="no CUDA device"):
-        fuse(sphere_frames(), device="cuda")
-    assert fuse(sphere_frames(), voxel_size=VOXEL, device="auto").device == "CPU:0"
+        fuse(render_sphere_frames(), device="cuda")
+    assert fuse(render_sphere_frames(), voxel_size=VOXEL, device="auto").device == "CPU:0"
 
 
-def test_progress_counts_frames_and_may_stop_the_work() -> None:
+def test_progress_counts_frames_and_can_stop_the_work() -> None:
     calls: list[tuple[int, int]] = []
-    fuse(sphere_frames(), voxel_size=VOXEL, progress=lambda done, total: calls.append((done, total)))
+    fuse(render_sphere_frames(), voxel_size=VOXEL, progress=lambda done, total: calls.append((done, total)))
     assert calls == [(k, 12) for k in range(1, 13)]
 
     def stop(done: int, total: int) -> None:  # noqa: ARG001
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        fuse(sphere_frames(), voxel_size=VOXEL, progress=stop)
+        fuse(render_sphere_frames(), voxel_size=VOXEL, progress=stop)
 
 
 def test_metrics_are_json_with_units(sphere: FusionResult) -> None:
@@ -401,9 +403,9 @@ def test_a_real_kitchen(shared_data: Path) -> None:
     scan = read_scan(shared_data / "rgbd" / "7scenes_redkitchen")
     fused = fuse(scan.frames[:30:3], voxel_size=0.03)
     again = fuse(scan.frames[:30:3], voxel_size=0.03)
-    assert same(fused.mesh, again.mesh)
+    assert is_same(fused.mesh, again.mesh)
     assert fused.pixels_used > 0.8
-    # The sensor's noise at 2 m, as published for the first Kinect: half a centimetre.
+    # Published noise of the first Kinect at 2 m: 5 mm.
     assert 0.002 < fused.noise.compute_deviation(2.0) < 0.008
     assert len(fused.mesh.triangles) > 20_000
     assert fused.mesh.colors is not None

@@ -1,4 +1,4 @@
-"""Where a scan lies, and what its cameras look at."""
+"""Extent of a scan, and the point that its cameras face."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ LIMITS = DepthLimits(min_depth=0, max_depth=9, max_jump=0.05, max_angle=87)
 AIM = np.array([*OBJECT_POSITION, 0.08])
 
 
-def ring(*angles: float) -> NDArray[np.float64]:
+def make_ring(*angles: float) -> NDArray[np.float64]:
     return np.array([pose(angle) for angle in angles])
 
 
-def test_axes_meet_where_cameras_look_at() -> None:
-    np.testing.assert_allclose(intersect_optical_axes(ring(0, 30, 60)), AIM, atol=1e-9)
+def test_optical_axes_intersect_at_the_target() -> None:
+    np.testing.assert_allclose(intersect_optical_axes(make_ring(0, 30, 60)), AIM, atol=1e-9)
 
 
-def test_a_few_cameras_that_look_elsewhere_do_not_move_it() -> None:
-    poses = ring(*range(0, 360, 20))
+def test_outlier_cameras_do_not_move_the_intersection() -> None:
+    poses = make_ring(*range(0, 360, 20))
     poses[:4, :3, 3] += [0.4, 0.3, 0]
     place = intersect_optical_axes(poses)
     assert place is not None
@@ -31,8 +31,8 @@ def test_a_few_cameras_that_look_elsewhere_do_not_move_it() -> None:
 
 
 @pytest.mark.parametrize("case", ["one", "ahead", "outwards", "none"])
-def test_axes_that_do_not_meet_before_the_cameras_tell_nothing(case: str) -> None:
-    poses = ring(0, 40, 80, 120)
+def test_axes_without_intersection_in_front_give_no_target(case: str) -> None:
+    poses = make_ring(0, 40, 80, 120)
     if case == "one":
         poses = poses[:1]
     elif case == "ahead":
@@ -44,7 +44,7 @@ def test_axes_that_do_not_meet_before_the_cameras_tell_nothing(case: str) -> Non
     assert intersect_optical_axes(poses) is None
 
 
-def test_the_corners_leave_out_stray_points_and_the_centre_is_what_is_looked_at() -> None:
+def test_the_extent_ignores_outliers_and_is_centred_at_the_target() -> None:
     given = frames("ball")
     for frame in given:
         assert isinstance(frame.depth, np.ndarray)
@@ -57,7 +57,7 @@ def test_the_corners_leave_out_stray_points_and_the_centre_is_what_is_looked_at(
     assert str(scene).startswith("(-0.9")
 
 
-def test_where_axes_do_not_meet_it_is_the_middle_of_what_is_in_the_middle_of_the_images() -> None:
+def test_without_intersection_the_centre_is_the_median_of_image_centres() -> None:
     (one,) = frames("ball")[:1]
     scene = compute_scene_extent([one], [read_posed_depth(one, LIMITS)])
     assert np.linalg.norm(np.array(scene.center_m) - AIM) < 0.15

@@ -1,4 +1,4 @@
-"""A frame alone: its mesh shows what has depth, up to the rims, and nothing else."""
+"""Mesh of a single frame: it covers exactly the pixels with depth, up to the rims."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ from scanloom.stages.stereo.depth import depth_scan
 from scanloom.stages.surface.mesh import Mesh
 from scanloom.stages.surface.topology import topology
 
-# Missing, a wall, the same with noise, and something before it.
+# Missing, a wall, the wall with noise, and an object in front.
 DEPTHS = (0.0, 2.0, 2.01, 1.99, 1.2)
 CAMERA = Camera(200, 150, 220.0, 220.0, 99.5, 74.5)
 
 
-def shown(mesh: Mesh, frame: Frame) -> np.ndarray:
-    """Return the depth (h, w) at which a frame's rays hit the mesh, by Open3D's ray caster."""
+def render_depth(mesh: Mesh, frame: Frame) -> np.ndarray:
+    """Compute the depth (h, w) of a frame's rays on the mesh with Open3D's ray caster."""
     core, t = import_open3d().core, import_open3d().t
     whole = t.geometry.TriangleMesh(
         core.Tensor(mesh.vertices.astype(np.float32)), core.Tensor(mesh.triangles.astype(np.int32))
@@ -42,8 +42,8 @@ def shown(mesh: Mesh, frame: Frame) -> np.ndarray:
     return scene.cast_rays(core.Tensor(both))["t_hit"].numpy()
 
 
-def floor_and_box(noise: float = 0.002) -> np.ndarray:
-    """Return depth of a floor that recedes, with a board before it and holes where nothing was measured."""
+def make_floor_and_board(noise: float = 0.002) -> np.ndarray:
+    """Make depth of a receding floor with a board in front and holes without measurements."""
     v, u = np.mgrid[: CAMERA.height, : CAMERA.width]
     depth = 1 / (0.25 + 0.5 * v / CAMERA.height)
     depth *= 1 + np.random.default_rng(4).normal(0, noise, depth.shape)
@@ -53,33 +53,33 @@ def floor_and_box(noise: float = 0.002) -> np.ndarray:
     return depth.astype(np.float32)
 
 
-def pose() -> np.ndarray:
+def make_pose() -> np.ndarray:
     result = np.eye(4)
     result[:3, :3] = [[0, 0, 1], [-1, 0, 0], [0, -1, 0]]
     result[:3, 3] = (100.0, -30.0, 2.0)
     return result
 
 
-def test_a_lone_frame_shows_what_has_depth_and_nothing_else() -> None:
-    depth = floor_and_box()
+def test_a_single_frame_covers_exactly_the_pixels_with_depth() -> None:
+    depth = make_floor_and_board()
     color = np.full((*depth.shape, 3), 90, np.uint8)
-    frame = Frame("0", CAMERA, color=color, depth=depth, world_from_camera=pose())
+    frame = Frame("0", CAMERA, color=color, depth=depth, world_from_camera=make_pose())
 
     fused = fuse([frame])
-    z = shown(fused.mesh, frame)
+    z = render_depth(fused.mesh, frame)
 
     has = depth > 0
-    # Rays end at the outermost pixels' middles, which lie on the rim.
+    # Rays pass through pixel centres, and the outermost centres are on the rim.
     assert np.mean(np.isfinite(z)[has]) > 0.95
     assert not np.isfinite(z[~has]).any()
-    # Of all pixels, as of many frames; the gaps are too wide to be closed.
+    # The statistics cover all pixels, like for many frames; the gaps are too wide to be closed.
     assert fused.pixels_used == fused.pixels_valid == np.mean(has)
     np.testing.assert_array_equal(fused.mesh.colors, 90)
     assert clean(fused.mesh).mesh.triangles.shape == fused.mesh.triangles.shape
 
 
-def test_colours_are_seen_through_the_lens() -> None:
-    """A frame alone has the same colours at the same places as the first of two."""
+def test_colours_are_projected_with_lens_distortion() -> None:
+    """A single frame gives the same colours at the same points as two equal frames."""
     bent = replace(CAMERA, distortion=(-0.3, 0.1, 0.0, 0.0, 0.0))
     v, u = np.mgrid[: CAMERA.height, : CAMERA.width]
     color = np.stack([u, v, u + v], axis=-1).astype(np.uint8)
@@ -93,30 +93,30 @@ def test_colours_are_seen_through_the_lens() -> None:
     assert np.percentile(difference, 90) <= 4
 
 
-def test_triangles_face_the_camera_and_meet_at_their_edges() -> None:
-    frame = Frame("0", CAMERA, depth=floor_and_box(0), world_from_camera=pose())
+def test_triangles_face_the_camera_and_share_edges() -> None:
+    frame = Frame("0", CAMERA, depth=make_floor_and_board(0), world_from_camera=make_pose())
     mesh = fuse([frame]).mesh
     a, b, c = (mesh.vertices[mesh.triangles[:, k]] for k in range(3))
-    assert (np.einsum("ij,ij->i", np.cross(b - a, c - a), a - pose()[:3, 3]) < 0).all()
+    assert (np.einsum("ij,ij->i", np.cross(b - a, c - a), a - make_pose()[:3, 3]) < 0).all()
     edges = np.sort(mesh.triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
     assert np.unique(edges, axis=0, return_counts=True)[1].max() == 2
 
 
-def test_nothing_is_joined_across_a_jump() -> None:
-    """On the board or on the floor, and on no triangle between."""
-    depth = floor_and_box(0)
+def test_no_triangle_spans_a_depth_discontinuity() -> None:
+    """Each triangle is on the board or on the floor."""
+    depth = make_floor_and_board(0)
     mesh = fuse([Frame("0", CAMERA, depth=depth, world_from_camera=np.eye(4))], max_jump=0.05).mesh
     z = mesh.vertices[mesh.triangles][..., 2]
     assert (z.max(axis=1) / z.min(axis=1)).max() < 1.06
 
 
-def test_noise_is_evened_out_within_surfaces() -> None:
-    exact, noisy = floor_and_box(0), floor_and_box(0.004)
+def test_noise_is_smoothed_within_surfaces() -> None:
+    exact, noisy = make_floor_and_board(0), make_floor_and_board(0.004)
     even = denoise_depth(noisy, 0.05)
     has = exact > 0
     before, after = (np.abs(depth[has] / exact[has] - 1) for depth in (noisy, even))
     assert after[before > 0].mean() < before[before > 0].mean() / 3
-    # The board has none; it keeps its rim, where some of the floor's noise counts.
+    # The board is constant up to noise; its rim is influenced by the noise of the floor.
     board = exact == np.float32(1.3)
     np.testing.assert_allclose(even[board], 1.3, rtol=0.008)
     inside = np.zeros_like(board)
@@ -125,9 +125,9 @@ def test_noise_is_evened_out_within_surfaces() -> None:
     assert ((even > 0) == (noisy > 0)).all()
 
 
-def test_what_is_exact_stays_so() -> None:
-    """But for the tenth of a percent by which slopes are wrong beside another surface."""
-    depth = floor_and_box(0)
+def test_exact_depth_is_kept() -> None:
+    """Slopes next to another surface have errors of 0.1 %."""
+    depth = make_floor_and_board(0)
     np.testing.assert_allclose(denoise_depth(depth, 0.05), depth, rtol=1e-3)
 
 
@@ -137,22 +137,22 @@ def test_what_is_exact_stays_so() -> None:
     ),
     st.floats(0.001, 0.5),
 )
-def test_any_depth_map_stays_within_its_own(depth: np.ndarray, max_jump: float) -> None:
+def test_smoothing_keeps_the_depth_range(depth: np.ndarray, max_jump: float) -> None:
     even = denoise_depth(depth, max_jump)
     assert ((even > 0) == (depth > 0)).all()
     has = depth > 0
     np.testing.assert_array_less(np.abs(depth[has] / even[has] - 1), max_jump * 1.01 + 1e-5)
 
 
-def test_a_larger_voxel_leaves_pixels_out() -> None:
-    frame = Frame("0", CAMERA, depth=floor_and_box(0), world_from_camera=np.eye(4))
+def test_a_larger_voxel_size_skips_pixels() -> None:
+    frame = Frame("0", CAMERA, depth=make_floor_and_board(0), world_from_camera=np.eye(4))
     whole, half = fuse([frame]), fuse([frame], voxel_factor=2.0)
     assert 0.15 < len(half.mesh.triangles) / len(whole.mesh.triangles) < 0.3
     assert whole.truncation == 0
 
 
-def test_a_crop_and_an_angle_leave_triangles_out() -> None:
-    frame = Frame("0", CAMERA, depth=floor_and_box(0), world_from_camera=np.eye(4))
+def test_a_crop_and_an_angle_limit_remove_triangles() -> None:
+    frame = Frame("0", CAMERA, depth=make_floor_and_board(0), world_from_camera=np.eye(4))
     whole = fuse([frame]).mesh
     near = fuse([frame], box=(-9, -9, 0, 9, 9, 2)).mesh
     assert 0 < len(near.triangles) < len(whole.triangles)
@@ -161,7 +161,7 @@ def test_a_crop_and_an_angle_leave_triangles_out() -> None:
     assert 0 < len(steep.triangles) < len(whole.triangles)
 
 
-def test_part_of_a_mesh_keeps_the_order() -> None:
+def test_a_part_of_a_mesh_keeps_the_order() -> None:
     vertices = np.array([(0, 0, 0), (1, 0, 0), (0, 1, 0), (1, 1, 0)], np.float64)
     mesh = Mesh(vertices, np.array([(0, 1, 2), (2, 1, 3)], np.int32))
     part = select_triangles(mesh, np.array([False, True]))
@@ -175,7 +175,7 @@ def test_the_mesh_of_motorcycle(shared_data) -> None:
     frame, _ = next(iter(depth_scan(scan)))
     frame = replace(frame, world_from_camera=np.eye(4))
     fused = fuse([frame])
-    z = shown(clean(fused.mesh).mesh, frame)
+    z = render_depth(clean(fused.mesh).mesh, frame)
     has = frame.depth > 0
     assert np.mean(np.isfinite(z)[has]) > 0.95
     hit = has & np.isfinite(z)
@@ -184,11 +184,11 @@ def test_the_mesh_of_motorcycle(shared_data) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("first", [0, 1])
-def test_a_street_pair_is_no_heap_of_islands(shared_data, first: int) -> None:
+def test_a_street_pair_has_few_islands(shared_data, first: int) -> None:
     scan = read_scan(shared_data / "real" / "kitti_stereo_2015", ScanParams(first=first, last=first))
     frame, _ = next(iter(depth_scan(scan)))
     frame = replace(frame, world_from_camera=np.eye(4))
     mesh = clean(fuse([frame]).mesh).mesh
     has = frame.depth > 0
-    assert np.mean(np.isfinite(shown(mesh, frame))[has]) > 0.88
+    assert np.mean(np.isfinite(render_depth(mesh, frame))[has]) > 0.88
     assert topology(mesh).components < 300

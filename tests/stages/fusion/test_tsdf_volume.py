@@ -1,4 +1,4 @@
-"""The field of our own: beside Open3D's, in bricks, and what it refuses."""
+"""The TSDF kernel: comparison with Open3D, subdivision into bricks, and invalid input."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ VOXEL = 0.02
 CAMERA = Camera(160, 120, 140.0, 140.0, 79.5, 59.5)
 
 
-def plate(x: float, far: float = 3.0) -> Frame:
-    """A plate of half a metre at a distance of one, before a wall, seen from `x` to its side."""
+def make_plate(x: float, far: float = 3.0) -> Frame:
+    """Render a plate of 0.5 m at 1 m distance in front of a wall, from a camera at `x`."""
     rows, columns = np.mgrid[:120, :160]
     across, down = (columns - CAMERA.cx) / CAMERA.fx + x, (rows - CAMERA.cy) / CAMERA.fy
     depth = np.where((abs(across) < 0.25) & (abs(down) < 0.25), 1, far).astype(np.float32)
@@ -43,17 +43,17 @@ def plate(x: float, far: float = 3.0) -> Frame:
     return Frame(f"{x}", CAMERA, color=color, depth=depth, world_from_camera=pose)
 
 
-def apart(one: Mesh, other: Mesh) -> NDArray[np.float64]:
-    """Distances of vertices to the nearest of the other mesh."""
+def measure_distances(one: Mesh, other: Mesh) -> NDArray[np.float64]:
+    """Compute distances from vertices to the nearest vertex of the other mesh."""
     return np.asarray(cKDTree(other.vertices).query(one.vertices)[0])
 
 
-def test_on_a_real_kitchen_it_is_where_open3d_has_it(shared_data: Path) -> None:
+def test_a_real_kitchen_agrees_with_open3d(shared_data: Path) -> None:
     frames = read_scan(shared_data / "rgbd" / "7scenes_redkitchen").frames[:40:5]
     own, other = (fuse(frames, voxel_size=0.02, min_weight=2, backend=name) for name in ("own", "open3d"))
     for one, two in ((own, other), (other, own)):
-        assert np.median(apart(one.mesh, two.mesh)) < 0.15 * 0.02
-        assert np.quantile(apart(one.mesh, two.mesh), 0.8) < 0.5 * 0.02
+        assert np.median(measure_distances(one.mesh, two.mesh)) < 0.15 * 0.02
+        assert np.quantile(measure_distances(one.mesh, two.mesh), 0.8) < 0.5 * 0.02
     assert own.volume_bytes < 0.7 * other.volume_bytes
     nearest = cKDTree(other.mesh.vertices).query(own.mesh.vertices)[1]
     assert own.mesh.colors is not None
@@ -62,9 +62,9 @@ def test_on_a_real_kitchen_it_is_where_open3d_has_it(shared_data: Path) -> None:
     assert np.median(off) <= 5
 
 
-def test_what_nobody_measured_is_left_open() -> None:
-    """Behind the rim of a plate is what its sides would be, were it thick: no frame says that it is."""
-    mesh = fuse([plate(0.02 * k) for k in range(4)], voxel_size=VOXEL, min_weight=1).mesh
+def test_unmeasured_surface_is_left_open() -> None:
+    """Behind the rim of a plate there could be the sides of a thick plate, but no frame measured them."""
+    mesh = fuse([make_plate(0.02 * k) for k in range(4)], voxel_size=VOXEL, min_weight=1).mesh
     near = mesh.vertices[mesh.vertices[:, 2] < 2]
     assert np.abs(near[:, 2] - 1).max() < 0.05 * VOXEL
     assert near[:, :2].min() < -0.2
@@ -72,8 +72,8 @@ def test_what_nobody_measured_is_left_open() -> None:
 
 
 @pytest.mark.parametrize("behind", [3, 12])
-def test_both_sides_of_something_thin_are_where_they_are(behind: int) -> None:
-    """However many frames see the other side, neither is pushed away, torn or painted in its colours."""
+def test_both_sides_of_a_thin_sheet_are_kept(behind: int) -> None:
+    """Frames of one side do not displace or tear the other side, and do not mix its colours."""
     frames = [thin_sheet(-1, 0.02 * k, 2 * VOXEL, (200, 40, 30)) for k in range(3)]
     frames += [thin_sheet(1, 0.02 * k, 2 * VOXEL, (20, 60, 220)) for k in range(behind)]
     mesh = fuse(frames, voxel_size=VOXEL, truncation=5 * VOXEL, min_weight=1).mesh
@@ -84,17 +84,17 @@ def test_both_sides_of_something_thin_are_where_they_are(behind: int) -> None:
         off = np.abs(mesh.vertices[here, 2] - side * VOXEL)
         assert np.quantile(off, 0.95) < 0.35 * VOXEL
         assert np.median(mesh.colors[here].argmax(axis=1)) == channel
-        # Whole: a vertex for each column of voxels.
+        # Complete: a vertex for each column of voxels.
         assert here.sum() >= 17**2
 
 
-def test_each_vertex_knows_how_many_frames_saw_it() -> None:
-    frames = [plate(0.1 * k) for k in range(4)]
+def test_observations_are_counted_per_vertex() -> None:
+    frames = [make_plate(0.1 * k) for k in range(4)]
     whole = fuse(frames, voxel_size=VOXEL, min_weight=1)
     assert whole.observation_counts is not None
     assert whole.observation_counts.shape == (len(whole.mesh.vertices),)
     near = whole.mesh.vertices[:, 2] < 2
-    # The plate is in all images, the wall's left end in the first one's alone.
+    # All frames see the plate, only the first frame sees the left end of the wall.
     assert np.median(whole.observation_counts[near]) == 4
     assert np.median(whole.observation_counts[~near & (whole.mesh.vertices[:, 0] < -1.65)]) == 1
     part = fuse(frames, voxel_size=VOXEL, min_weight=1, box=(-1, -1, 0.5, 1, 1, 1.5))
@@ -103,8 +103,8 @@ def test_each_vertex_knows_how_many_frames_saw_it() -> None:
     assert fuse(frames, voxel_size=VOXEL, backend="open3d").observation_counts is None
 
 
-def test_near_depth_counts_more_than_far_depth() -> None:
-    """Two frames disagree by a centimetre, and one of them is four times as far."""
+def test_near_depth_has_more_weight_than_far_depth() -> None:
+    """Two frames disagree by 1 cm, and one of them is at twice the distance."""
     camera = Camera(40, 40, 100.0, 100.0, 19.5, 19.5)
     volume = SparseVolume(
         VOXEL, 3 * VOXEL, DepthNoiseModel(1e-3, 1.0, 1.0), color=False, max_bytes=1e8, threads=1
@@ -122,15 +122,15 @@ def test_near_depth_counts_more_than_far_depth() -> None:
     np.testing.assert_allclose(vertices[:, 2], 0.01 / 17, atol=1e-4)
 
 
-def test_a_voxel_takes_as_few_bytes_as_are_said() -> None:
+def test_the_memory_of_a_voxel_is_as_documented() -> None:
     for color in (False, True):
-        fused = fuse([plate(0.02 * k) for k in range(4)], voxel_size=VOXEL, color=color)
+        fused = fuse([make_plate(0.02 * k) for k in range(4)], voxel_size=VOXEL, color=color)
         assert fused.volume_bytes % (64 * compute_block_bytes(color=color)) == 0
     assert compute_block_bytes(color=True) == 12 * 8**3
 
 
-def test_blocks_of_bricks_are_those_of_the_whole() -> None:
-    view = read_posed_depth(plate(0.1), make_depth_limits(FuseParams()))
+def test_blocks_of_bricks_equal_blocks_of_the_whole_volume() -> None:
+    view = read_posed_depth(make_plate(0.1), make_depth_limits(FuseParams()))
     wanted = view.surface.depth > 0
     whole = find_touched_blocks(view, wanted, view.pose, voxel_size=VOXEL, truncation=0.06)
     camera = (CAMERA.fx, CAMERA.fy, CAMERA.cx, CAMERA.cy, 160, 120), view.pose
@@ -152,18 +152,18 @@ def test_blocks_of_bricks_are_those_of_the_whole() -> None:
     np.testing.assert_array_equal(np.sort(np.concatenate(parts)), whole)
 
 
-def test_a_pose_far_away_is_told() -> None:
+def test_a_pose_far_from_the_others_is_an_error() -> None:
     far = np.eye(4)
     far[0, 3] = 1e6
-    view = read_posed_depth(plate(0.0), make_depth_limits(FuseParams()))
+    view = read_posed_depth(make_plate(0.0), make_depth_limits(FuseParams()))
     with pytest.raises(StageError, match=r"more than 168 km from the other cameras.*Check the poses"):
         find_touched_blocks(view, view.surface.depth > 0, far, voxel_size=VOXEL, truncation=0.06)
 
 
-def test_a_cuda_device_is_none_of_our_own() -> None:
+def test_the_own_backend_refuses_cuda() -> None:
     with pytest.raises(UsageError, match="backend 'own' runs on the CPU only"):
-        fuse([plate(0.0)], backend="own", device="cuda")
-    assert fuse([plate(0.1 * k) for k in range(3)], backend="own", device="auto").device == "CPU:0"
+        fuse([make_plate(0.0)], backend="own", device="cuda")
+    assert fuse([make_plate(0.1 * k) for k in range(3)], backend="own", device="auto").device == "CPU:0"
 
 
 @pytest.mark.parametrize(
@@ -179,7 +179,7 @@ def test_a_cuda_device_is_none_of_our_own() -> None:
         ({"pixels": (140.0, 140.0, 80.0, 60.0, 1 << 20, 1 << 20)}, "2³⁰"),
     ],
 )
-def test_what_does_not_fit_together_is_refused(wrong: dict[str, object], message: str) -> None:
+def test_inconsistent_arguments_are_refused(wrong: dict[str, object], message: str) -> None:
     volume = _kernels.Volume(VOXEL, 0.06, color=True, max_blocks=100)
     given = {
         "pixels": (140.0, 140.0, 80.0, 60.0, 160, 120),
@@ -201,9 +201,9 @@ def test_what_does_not_fit_together_is_refused(wrong: dict[str, object], message
     assert volume.block_count == 0
 
 
-def test_depth_that_means_nothing_changes_nothing() -> None:
-    """No number, infinite, negative, tiny: all as if it were not there."""
-    frames = [plate(0.02 * k) for k in range(4)]
+def test_invalid_depth_is_ignored() -> None:
+    """NaN, infinite, negative and tiny depth count as missing."""
+    frames = [make_plate(0.02 * k) for k in range(4)]
     good, bad = [], []
     for frame in frames:
         depth = np.array(frame.depth)
@@ -217,14 +217,14 @@ def test_depth_that_means_nothing_changes_nothing() -> None:
     np.testing.assert_array_equal(one.triangles, other.triangles)
 
 
-def kernel_field(**changes: Any) -> _kernels.Volume:
-    """Two plates in a field of the kernel's own."""
+def make_kernel_volume(**changes: Any) -> _kernels.Volume:
+    """Integrate two plates directly into a kernel volume."""
     given = {"instructions": None, "weighing": (1.0, 1.0, 0.0)} | changes
     volume = _kernels.Volume(
         VOXEL, 3 * VOXEL, color=True, max_blocks=1 << 16, instructions=given["instructions"]
     )
     for x in (0.0, 0.1):
-        frame = plate(x)
+        frame = make_plate(x)
         view = read_posed_depth(frame, make_depth_limits(FuseParams()))
         here = view.surface.depth > 0
         keys = find_touched_blocks(view, here, view.pose, voxel_size=VOXEL, truncation=3 * VOXEL)
@@ -243,12 +243,12 @@ def kernel_field(**changes: Any) -> _kernels.Volume:
     return volume
 
 
-def test_every_set_of_instructions_gives_the_same_field() -> None:
+def test_every_instruction_set_gives_the_same_volume() -> None:
     sets = _kernels.Volume.supported_instructions()
     assert sets[-1] == "plain"
-    usual = kernel_field().copy_voxels()
+    usual = make_kernel_volume().copy_voxels()
     for name in sets:
-        for one, other in zip(kernel_field(instructions=name).copy_voxels(), usual, strict=True):
+        for one, other in zip(make_kernel_volume(instructions=name).copy_voxels(), usual, strict=True):
             assert one is not None
             assert other is not None
             assert one.tobytes() == other.tobytes()
@@ -262,12 +262,12 @@ def test_every_set_of_instructions_gives_the_same_field() -> None:
         ({"weighing": (1.0, 1.0, -1.0)}, "weighing must have finite values"),
     ],
 )
-def test_what_a_field_cannot_be_made_of_is_refused(changes: dict[str, Any], said: str) -> None:
+def test_invalid_volume_parameters_are_refused(changes: dict[str, Any], said: str) -> None:
     with pytest.raises(ValueError, match=said):
-        kernel_field(**changes)
+        make_kernel_volume(**changes)
 
 
-def test_an_image_whose_columns_single_precision_cannot_tell_apart_is_refused() -> None:
+def test_an_image_too_wide_for_single_precision_is_refused() -> None:
     with pytest.raises(ValueError, match="sides below 2²⁴"):
         _kernels.filter_depth(
             np.zeros((1, 8), np.float32),

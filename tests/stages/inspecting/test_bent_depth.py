@@ -1,4 +1,4 @@
-"""Systematic disagreement of depth maps, whatever the noise and the poses."""
+"""Systematic disagreement of depth maps, independent of noise and pose errors."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ def frames() -> list[Frame]:
 
 
 def _make_frame(frame: Frame, bend: float = 0.0) -> Frame:
-    """Return a frame in memory whose depth is bent by up to `bend` at the corners, relative to the middle."""
+    """Load a frame and distort its depth by up to `bend` at the corners, relative to the centre."""
     color, depth = read_color(frame), read_depth(frame)
     assert color is not None
     assert depth is not None
     if bend:
         coefficients = np.zeros(COEFFICIENT_COUNT)
-        # Second Legendre polynomials of both image axes, which are −1/2 in the middle and 1 at the corners.
+        # Second Legendre polynomials of both image axes, which are −1/2 in the centre and 1 at the corners.
         coefficients[[3, 5]] = bend / 3
         camera = frame.camera
         depth = DepthCorrection(camera.width, camera.height, 0.5, 4, tuple(coefficients)).correct_map(depth)
@@ -70,7 +70,7 @@ def test_inexact_poses_are_not_bent_depth(frames: list[Frame]) -> None:
 
 
 @pytest.mark.parametrize("pose_error_m", [0.0, 0.01])
-def test_bent_depth_is_found_in_spite_of_inexact_poses(frames: list[Frame], pose_error_m: float) -> None:
+def test_bent_depth_is_found_despite_inexact_poses(frames: list[Frame], pose_error_m: float) -> None:
     bent = [_make_frame(one, bend=0.02) for one in frames]
     found = _measure(_shake(bent, pose_error_m, 50 * pose_error_m))
     assert found.is_clear
@@ -92,7 +92,7 @@ def test_frames_that_adjust_cannot_correct_are_not_measured(frames: list[Frame])
         for one in frames
     ]
     assert measure_bent_depth(corrected, noise) is None
-    # They show the same surface in the same pixels, whose errors are the same.
+    # Frames from the same pose have equal errors in equal pixels.
     still = [replace(one, world_from_camera=frames[0].world_from_camera) for one in frames]
     assert measure_bent_depth(still, noise) is None
     assert measure_bent_depth(frames[:1], noise) is None

@@ -1,4 +1,4 @@
-"""Photos tell how the poses of views are meant."""
+"""The pose convention of views is recognised from feature matches between photos."""
 
 from dataclasses import replace
 
@@ -23,13 +23,13 @@ VIEWS = [
 ]
 
 
-def meant(scan, written):
+def rewrite_poses(scan, written):
     frames = [replace(one, world_from_camera=written(one.world_from_camera)) for one in scan.frames]
     return replace(scan, frames=frames)
 
 
 @pytest.mark.parametrize("folder", VIEWS)
-def test_sound_poses_are_let_be(shared_data, folder):
+def test_correct_poses_raise_no_warning(shared_data, folder):
     scan = read_scan(shared_data / folder)
     errors, suspicion = check_view_poses(scan.frames)
     assert suspicion is None
@@ -40,8 +40,8 @@ def test_sound_poses_are_let_be(shared_data, folder):
 @pytest.mark.slow
 @pytest.mark.parametrize("folder", VIEWS[1:])
 @pytest.mark.parametrize("reading", READINGS)
-def test_poses_that_are_meant_another_way_are_told(shared_data, folder, reading):
-    scan = meant(read_scan(shared_data / folder), READINGS[reading])
+def test_another_pose_convention_is_reported(shared_data, folder, reading):
+    scan = rewrite_poses(read_scan(shared_data / folder), READINGS[reading])
     convention = {
         "in camera axes with y up and z back": "y-up",
         "world-to-camera in axes with y up and z back": "world-to-camera-y-up",
@@ -50,7 +50,7 @@ def test_poses_that_are_meant_another_way_are_told(shared_data, folder, reading)
         require_view_poses(scan)
 
 
-def test_poses_in_the_wrong_order_are_told(shared_data):
+def test_poses_in_the_wrong_order_are_reported(shared_data):
     scan = read_scan(shared_data / "real" / "nerf_alpha_toy")
     poses = [frame.world_from_camera for frame in scan.frames][::-1]
     frames = [replace(frame, world_from_camera=pose) for frame, pose in zip(scan.frames, poses, strict=True)]
@@ -58,14 +58,14 @@ def test_poses_in_the_wrong_order_are_told(shared_data):
         require_view_poses(replace(scan, frames=frames))
 
 
-def test_where_nothing_is_recognised_nothing_is_said(tmp_path):
-    scan = blank_views(tmp_path)
+def test_without_feature_matches_no_convention_is_reported(tmp_path):
+    scan = write_blank_views(tmp_path)
     assert check_view_poses(scan.frames) == ({}, None)
     assert check_view_poses(scan.frames[:1]) == ({}, None)
     assert check_view_poses([]) == ({}, None)
 
 
-def blank_views(folder):
+def write_blank_views(folder):
     (folder / "images").mkdir()
     for name in ("0", "1", "2"):
         assert cv2.imwrite(str(folder / "images" / f"{name}.png"), np.full((24, 32, 3), 90, np.uint8))

@@ -26,13 +26,13 @@ CAMERA = Camera(160, 120, 150, 150, 80, 60)
 FLIP = np.diag((1.0, -1, -1, 1))
 
 
-def pose_at(x, z, degrees):
+def make_pose(x, z, degrees):
     c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
     return np.array([[c, 0, s, x], [0, 1, 0, 0], [-s, 0, c, z], [0, 0, 0, 1.0]])
 
 
-def room_depth(pose, camera=CAMERA):
-    """Depth seen inside a box of 3 x 2 x 4 m around the origin, by the formula for ray and plane."""
+def render_room_depth(pose, camera=CAMERA):
+    """Compute the depth inside a box of 3 x 2 x 4 m around the origin by ray-plane intersection."""
     v, u = np.mgrid[: camera.height, : camera.width]
     rays = np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones_like(u, float)], -1)
     directions = rays @ pose[:3, :3].T
@@ -41,17 +41,17 @@ def room_depth(pose, camera=CAMERA):
     return np.where(np.isfinite(distances), distances, np.inf).min(axis=-1).astype(np.float32)
 
 
-def room_scan(change=lambda pose: pose):
-    poses = [pose_at(0.1 * i, 0.05 * i, 4 * i) for i in range(8)]
+def make_room_scan(change=lambda pose: pose):
+    poses = [make_pose(0.1 * i, 0.05 * i, 4 * i) for i in range(8)]
     frames = [
-        Frame(str(i), CAMERA, depth=room_depth(pose), world_from_camera=change(pose))
+        Frame(str(i), CAMERA, depth=render_room_depth(pose), world_from_camera=change(pose))
         for i, pose in enumerate(poses)
     ]
     return Scan("plain-rgbd", frames)
 
 
-def test_true_poses_meet_and_raise_no_warning():
-    found = inspect(room_scan())
+def test_true_poses_agree_without_warning():
+    found = inspect(make_room_scan())
     assert found.pose_errors_m["as given"] < 0.01
     assert found.diagnostics == ()
 
@@ -64,34 +64,34 @@ def test_true_poses_meet_and_raise_no_warning():
         (lambda pose: np.linalg.inv(pose @ FLIP), "world-to-camera in axes with y up and z back"),
     ],
 )
-def test_poses_of_another_convention_are_named(change, name):
-    found = inspect(room_scan(change))
+def test_another_pose_convention_is_recognised(change, name):
+    found = inspect(make_room_scan(change))
     assert any(f"probably {name}:" in text for text in map(str, found.diagnostics))
     assert min(found.pose_errors_m, key=found.pose_errors_m.get) == name
 
 
-def test_poses_of_another_convention_stop_what_is_built_on_them():
-    require_poses(room_scan())
+def test_another_pose_convention_is_an_error_for_fusion():
+    require_poses(make_room_scan())
     with pytest.raises(InputError, match=r"probably world-to-camera.*mm as given; \d+ mm world-to-camera"):
-        require_poses(room_scan(np.linalg.inv))
+        require_poses(make_room_scan(np.linalg.inv))
 
 
-def test_poses_backwards_are_named():
-    # Faster and faster, or else they are as good as inverted ones.
-    poses = [pose_at(0.02 * i**2, 0.05 * i, 4 * i + i**2 / 4) for i in range(8)]
+def test_reversed_poses_are_recognised():
+    # Accelerated motion: for uniform motion, reversed poses are indistinguishable from inverted ones.
+    poses = [make_pose(0.02 * i**2, 0.05 * i, 4 * i + i**2 / 4) for i in range(8)]
     frames = [
-        Frame(str(i), CAMERA, depth=room_depth(pose), world_from_camera=given)
+        Frame(str(i), CAMERA, depth=render_room_depth(pose), world_from_camera=given)
         for i, (pose, given) in enumerate(zip(poses, reversed(poses), strict=True))
     ]
     with pytest.raises(InputError, match=r"in reverse frame order: overlapping"):
         require_poses(Scan("plain-rgbd", frames))
 
 
-def test_poses_that_fit_two_ways_are_called_by_both():
-    """A camera that moves evenly, as about a turntable."""
-    poses = [np.linalg.matrix_power(pose_at(0.1, 0.0, 5.0), i) for i in range(8)]
+def test_poses_that_fit_two_conventions_are_reported_with_both():
+    """A camera in uniform motion, like around a turntable."""
+    poses = [np.linalg.matrix_power(make_pose(0.1, 0.0, 5.0), i) for i in range(8)]
     frames = [
-        Frame(str(i), CAMERA, depth=room_depth(pose), world_from_camera=np.linalg.inv(pose))
+        Frame(str(i), CAMERA, depth=render_room_depth(pose), world_from_camera=np.linalg.inv(pose))
         for i, pose in enumerate(poses)
     ]
     errors, suspicion = check_poses(frames)
@@ -99,8 +99,8 @@ def test_poses_that_fit_two_ways_are_called_by_both():
     assert errors["as given"] > 0.05
 
 
-def test_frames_without_a_pose_say_nothing_of_the_others():
-    scan = room_scan()
+def test_frames_without_a_pose_do_not_affect_the_others():
+    scan = make_room_scan()
     lost = [replace(frame, world_from_camera=None) for frame in scan.frames[::2]]
     frames = [lost[i // 2] if i % 2 == 0 else frame for i, frame in enumerate(scan.frames)]
     errors, suspicion = check_poses(frames)
@@ -108,14 +108,14 @@ def test_frames_without_a_pose_say_nothing_of_the_others():
     assert suspicion is None
 
 
-def test_inexact_poses_are_told_from_noise():
+def test_inexact_poses_are_distinguished_from_noise():
     numbers = np.random.default_rng(5)
     noisy = [
         replace(frame, depth=(frame.depth * numbers.normal(1, 0.01, frame.depth.shape)).astype(np.float32))
-        for frame in room_scan().frames
+        for frame in make_room_scan().frames
     ]
     warn_inexact_poses(noisy)
-    shaken = room_scan(lambda pose: pose @ pose_at(*numbers.normal(0, 0.03, 2), numbers.normal(0, 1)))
+    shaken = make_room_scan(lambda pose: pose @ make_pose(*numbers.normal(0, 0.03, 2), numbers.normal(0, 1)))
     with collecting() as diagnostics:
         warn_inexact_poses(shaken.frames)
     (doubt,) = diagnostics
@@ -124,21 +124,21 @@ def test_inexact_poses_are_told_from_noise():
     assert doubt in inspect(shaken).diagnostics
 
 
-def test_poses_that_fit_no_way_are_not_called_another_convention():
+def test_random_poses_are_not_reported_as_another_convention():
     numbers = np.random.default_rng(3)
-    drifting = room_scan(lambda _: pose_at(*numbers.uniform(-0.5, 0.5, 2), numbers.uniform(-40, 40)))
+    drifting = make_room_scan(lambda _: make_pose(*numbers.uniform(-0.5, 0.5, 2), numbers.uniform(-40, 40)))
     require_poses(drifting)
 
 
-def test_a_camera_that_hardly_moves_raises_no_doubt():
+def test_a_nearly_static_camera_raises_no_warning():
     numbers = np.random.default_rng(4)
     frames = [
         Frame(
             str(i),
             CAMERA,
-            depth=room_depth(pose_at(0.0001 * i, 0, 0))
+            depth=render_room_depth(make_pose(0.0001 * i, 0, 0))
             + numbers.normal(0, 0.01, (120, 160)).astype(np.float32),
-            world_from_camera=pose_at(-0.0001 * i, 0, 0),
+            world_from_camera=make_pose(-0.0001 * i, 0, 0),
         )
         for i in range(8)
     ]
@@ -147,7 +147,7 @@ def test_a_camera_that_hardly_moves_raises_no_doubt():
 
 def test_the_path_is_measured():
     frames = [
-        Frame(str(i), CAMERA, depth=room_depth(np.eye(4)), world_from_camera=pose_at(x, 0, turn))
+        Frame(str(i), CAMERA, depth=render_room_depth(np.eye(4)), world_from_camera=make_pose(x, 0, turn))
         for i, (x, turn) in enumerate([(0, 0), (0.1, 0), (0.3, 10), (1.3, 10), (1.3, 60)])
     ]
     path = inspect(Scan("plain-rgbd", frames)).trajectory
@@ -158,7 +158,7 @@ def test_the_path_is_measured():
     assert path.outliers == ("3", "4")
 
 
-def test_depth_is_summed_up():
+def test_depth_is_summarised():
     depth = np.full((120, 160), 1.5, np.float32)
     depth[:30] = 0
     scan = Scan("plain-rgbd", [Frame("a", CAMERA, depth=depth, world_from_camera=np.eye(4))])
@@ -167,9 +167,9 @@ def test_depth_is_summed_up():
     assert found.depth.missing_ratio == pytest.approx(0.25)
 
 
-def test_depth_all_zero_is_told():
+def test_depth_without_values_is_reported():
     depth = np.zeros((120, 160), np.float32)
-    poses = (pose_at(0, 0, 0), pose_at(0.1, 0, 0))
+    poses = (make_pose(0, 0, 0), make_pose(0.1, 0, 0))
     found = inspect(Scan("x", [Frame("a", CAMERA, depth=depth, world_from_camera=pose) for pose in poses]))
     assert found.depth is None
     assert found.pose_errors_m == {}
@@ -180,20 +180,20 @@ def test_depth_all_zero_is_told():
 def depth_files(tmp_path):
     frames = []
     for i in range(4):
-        pose = pose_at(0.1 * i, 0, 3 * i)
+        pose = make_pose(0.1 * i, 0, 3 * i)
         path = tmp_path / f"{i}.png"
-        cv2.imwrite(str(path), (room_depth(pose) * 5000).astype(np.uint16))
+        cv2.imwrite(str(path), (render_room_depth(pose) * 5000).astype(np.uint16))
         frames.append(Frame(str(i), CAMERA, depth=path, depth_scale=5000, world_from_camera=pose))
     return frames
 
 
-def test_a_wrong_scale_names_the_right_one(depth_files):
+def test_a_wrong_depth_scale_is_reported_with_the_right_one(depth_files):
     frames = [replace(frame, depth_scale=100.0) for frame in depth_files]
     (warning,) = (text for text in map(str, inspect(Scan("x", frames)).diagnostics) if "median depth" in text)
     assert "5000 (TUM RGB-D)" in warning
 
 
-def test_a_marker_at_the_top_is_found(depth_files):
+def test_a_marker_for_missing_depth_is_found(depth_files):
     for frame in depth_files:
         raw = cv2.imread(str(frame.depth), cv2.IMREAD_UNCHANGED)
         raw[:10] = 65535
@@ -203,7 +203,7 @@ def test_a_marker_at_the_top_is_found(depth_files):
     assert not any("65535" in text for text in map(str, inspect(Scan("x", known)).diagnostics))
 
 
-def test_odd_and_damaged_files_are_counted(depth_files):
+def test_unusual_and_damaged_files_are_counted(depth_files):
     cv2.imwrite(str(depth_files[1].depth), np.ones((10, 10), np.uint16))
     depth_files[2].depth.write_bytes(b"nothing")
     warnings = "\n".join(map(str, inspect(Scan("x", depth_files)).diagnostics))
@@ -211,14 +211,14 @@ def test_odd_and_damaged_files_are_counted(depth_files):
     assert "cannot be read, the first is 2.png" in warnings
 
 
-def test_nothing_readable_is_an_error(depth_files):
+def test_a_scan_without_readable_depth_is_an_error(depth_files):
     for frame in depth_files:
         frame.depth.write_bytes(b"nothing")
     with pytest.raises(InputError, match=r"0\.png"):
         inspect(Scan("x", depth_files))
 
 
-def textured_pair(disparity, rows=0):
+def make_textured_pair(disparity, rows=0):
     scene = cv2.GaussianBlur(np.random.default_rng(1).integers(0, 255, (260, 440), np.uint8), (0, 0), 2)
     scene = cv2.normalize(scene, None, 0, 255, cv2.NORM_MINMAX)
     left = scene[10:250, 40:360]
@@ -226,7 +226,7 @@ def textured_pair(disparity, rows=0):
     return [np.ascontiguousarray(np.dstack([image] * 3)) for image in (left, right)]
 
 
-def stereo_inspection(left, right):
+def inspect_stereo(left, right):
     camera = Camera(320, 240, 300, 300, 160, 120)
     right_from_left = np.eye(4)
     right_from_left[0, 3] = -0.1
@@ -235,26 +235,26 @@ def stereo_inspection(left, right):
 
 
 def test_a_sound_pair_raises_no_warning():
-    found = stereo_inspection(*textured_pair(12))
+    found = inspect_stereo(*make_textured_pair(12))
     assert found.diagnostics == ()
     assert found.stereo_depth_m == pytest.approx((1.0, 30.0))
     assert not any(line.startswith("path") for line in found.format_lines())
 
 
-def test_left_and_right_exchanged_is_noticed():
-    (diagnostic,) = stereo_inspection(*reversed(textured_pair(12))).diagnostics
+def test_swapped_stereo_images_are_detected():
+    (diagnostic,) = inspect_stereo(*reversed(make_textured_pair(12))).diagnostics
     assert diagnostic.code == DEPTH_PAIR_SWAPPED.name
     assert "swapped" in str(diagnostic)
 
 
-def test_rows_that_do_not_correspond_are_noticed():
-    found = stereo_inspection(*textured_pair(12, rows=3))
+def test_row_offsets_of_stereo_images_are_detected():
+    found = inspect_stereo(*make_textured_pair(12, rows=3))
     assert [one.code for one in found.diagnostics] == [DEPTH_PAIR_ROWS_DIFFER.name]
     assert "3.0 rows" in str(found.diagnostics[0])
 
 
-def blocks(seed, shift):
-    """Depth with steps at blocks, and a colour picture of the blocks `shift` pixels further right."""
+def make_blocks(seed, shift):
+    """Make depth with blocks, and a colour image of the blocks shifted to the right by `shift` pixels."""
     numbers = np.random.default_rng(seed).integers(0, 5, (6, 8))
     depth = np.kron(1 + 0.4 * numbers, np.ones((20, 20))).astype(np.float32)
     grey = np.roll(np.kron(50 * numbers, np.ones((20, 20))), shift, axis=1).astype(np.uint8)
@@ -265,10 +265,10 @@ def blocks(seed, shift):
     ("shift", "words"),
     [(0, None), (5, r"5\.[01] px to the right and 0\.[01] px"), (-4, r"4\.[01] px to the left")],
 )
-def test_colour_beside_depth_is_noticed(shift, words):
+def test_an_offset_between_colour_and_depth_is_detected(shift, words):
     frames = [
         Frame("a", CAMERA, color=color, depth=depth, world_from_camera=np.eye(4))
-        for color, depth in (blocks(seed, shift) for seed in (2, 3))
+        for color, depth in (make_blocks(seed, shift) for seed in (2, 3))
     ]
     scan = Scan("x", frames)
     said = [text for text in map(str, inspect(scan).diagnostics) if "not registered" in text]
@@ -277,8 +277,8 @@ def test_colour_beside_depth_is_noticed(shift, words):
 
 
 @cache
-def inspected(folder: Path, **options) -> Inspection:
-    """What is seen of a real folder: two tests look at the same one."""
+def inspect_folder(folder: Path, **options) -> Inspection:
+    """Inspect a real folder; the result is cached, because two tests use it."""
     return inspect(read_scan(folder, ScanParams(**options)))
 
 
@@ -294,8 +294,8 @@ def inspected(folder: Path, **options) -> Inspection:
         ("stereo/middlebury2003_cones", {"intrinsics": "1000,1000,225,187", "baseline": 0.16}),
     ],
 )
-def test_real_folders_agree_with_themselves(shared_data, folder, options):
-    found = inspected(shared_data / folder, **options)
+def test_real_scans_raise_no_warnings(shared_data, folder, options):
+    found = inspect_folder(shared_data / folder, **options)
     for fault in (
         "probably",
         "exchanged",
@@ -314,15 +314,15 @@ def test_real_folders_agree_with_themselves(shared_data, folder, options):
     assert any(line.startswith("layout") for line in found.format_lines())
 
 
-def test_shifted_colour_is_noticed_on_real_frames(shared_data):
+def test_shifted_colour_is_detected_on_real_frames(shared_data):
     scan = read_scan(shared_data / "rgbd" / "open3d_testdata" / "RGBD")
     moved = [replace(frame, color=np.roll(read_color(frame), (0, 6), axis=(0, 1))) for frame in scan.frames]
     said = list(map(str, inspect(replace(scan, frames=moved)).diagnostics))
     assert any(re.search(r"(5\.[789]|6\.[012]) px to the right and 0\.\d px", text) for text in said)
 
 
-def test_a_colour_camera_that_stands_elsewhere_is_told(shared_data):
-    said = list(map(str, inspected(shared_data / "rgbd" / "tabletop_box_realsense").diagnostics))
+def test_a_wrong_colour_camera_is_reported(shared_data):
+    said = list(map(str, inspect_folder(shared_data / "rgbd" / "tabletop_box_realsense").diagnostics))
     assert any(
         "not registered to depth: judged by silhouettes, the photos are shifted 4." in text for text in said
     )
@@ -335,7 +335,7 @@ def test_a_colour_camera_that_stands_elsewhere_is_told(shared_data):
         ("stereo/middlebury2003_cones", 1, (450, 375), ["calibration: calibration.json is missing"]),
     ],
 )
-def test_what_a_real_folder_lacks_is_said_with_what_it_has(shared_data, folder, frames, size, missing):
+def test_missing_data_of_a_real_scan_is_reported(shared_data, folder, frames, size, missing):
     with pytest.raises(InputError, match=f"no {missing[0]}"):
         read_scan(shared_data / folder)
     found = inspect(read_scan(shared_data / folder, complete=False))
@@ -359,39 +359,39 @@ def test_a_street_without_poses_and_calibration(shared_data, tmp_path):
         read_scan(tmp_path)
 
 
-def test_the_kitchens_depth(shared_data):
-    depth = inspected(shared_data / "rgbd" / "7scenes_redkitchen").depth
+def test_the_depth_range_of_a_real_kitchen(shared_data):
+    depth = inspect_folder(shared_data / "rgbd" / "7scenes_redkitchen").depth
     assert 0.5 < depth.near_m < depth.median_m < depth.far_m < 5
 
 
-def striped(blur):
-    """Stripes of four pixels, and what a box filter of `blur` pixels leaves of them."""
+def make_stripes(blur):
+    """Make stripes of four pixels, blurred by a box filter of `blur` pixels."""
     image = np.zeros((120, 160, 3), np.uint8)
     image[:, ::4] = image[:, 1::4] = 200
     return image if blur == 0 else cv2.blur(image, (blur, blur))
 
 
-def test_the_least_sharp_twentieth_is_listed():
-    frames = list(room_scan().frames) * 5
+def test_the_blurriest_5_percent_of_frames_are_listed():
+    frames = list(make_room_scan().frames) * 5
     blurs = {7: 4, 20: 3}
-    frames = [replace(f, name=str(i), color=striped(blurs.get(i, 0))) for i, f in enumerate(frames)]
+    frames = [replace(f, name=str(i), color=make_stripes(blurs.get(i, 0))) for i, f in enumerate(frames)]
     found = inspect(Scan("plain-rgbd", frames))
-    # Two of forty; a filter as long as the period takes all contrast away.
+    # Two of forty; a filter as long as the period removes all contrast.
     assert [name for name, _ in found.blurriest_frames] == ["7", "20"]
     assert found.blurriest_frames[0][1] < 0.05 < found.blurriest_frames[1][1] < 0.25
     assert any("blurred" in text and "7, 20" in text for text in map(str, found.diagnostics))
     assert found.to_dict()["blurriest_frames"][0]["frame"] == "7"
 
 
-def test_frames_equally_sharp_are_no_warning():
-    frames = [replace(frame, color=striped(0)) for frame in room_scan().frames]
+def test_equally_sharp_frames_raise_no_warning():
+    frames = [replace(frame, color=make_stripes(0)) for frame in make_room_scan().frames]
     found = inspect(Scan("plain-rgbd", frames))
     assert [value for _, value in found.blurriest_frames] == [1.0]
     assert not any("blurred" in text for text in map(str, found.diagnostics))
 
 
-def test_fusion_takes_what_was_estimated():
-    scan = room_scan()
+def test_fusion_uses_the_estimates_of_inspect():
+    scan = make_room_scan()
     expected = inspect(scan).fusion_estimate
     fused = fuse(scan)
     assert expected.voxel_size_m == fused.voxel_size
@@ -399,19 +399,19 @@ def test_fusion_takes_what_was_estimated():
     assert 0.5 < len(fused.mesh.triangles) / expected.triangles < 2
 
 
-def test_without_poses_nothing_is_estimated():
-    frames = [replace(frame, world_from_camera=None) for frame in room_scan().frames]
+def test_without_poses_there_is_no_fusion_estimate():
+    frames = [replace(frame, world_from_camera=None) for frame in make_room_scan().frames]
     found = inspect(Scan("plain-rgbd", frames, missing=(POSE_MISSING.warning("no poses: none"),)))
     assert found.fusion_estimate is None
     assert "missing   no poses: none; `scanloom run` estimates them" in found.format_lines()
 
 
-def test_a_single_frame_is_compared_with_nothing():
-    (frame, *_) = room_scan().frames
-    assert inspect(Scan("plain-rgbd", [replace(frame, color=striped(0))])).blurriest_frames == ()
+def test_a_single_frame_has_no_blur_ranking():
+    (frame, *_) = make_room_scan().frames
+    assert inspect(Scan("plain-rgbd", [replace(frame, color=make_stripes(0))])).blurriest_frames == ()
 
 
-def test_many_sizes_are_one_warning(depth_files):
+def test_several_image_sizes_are_one_warning(depth_files):
     for size, frame in ((10, depth_files[0]), (12, depth_files[1])):
         cv2.imwrite(str(frame.depth), np.ones((size, size), np.uint16))
     warnings = list(map(str, inspect(Scan("x", depth_files)).diagnostics))
@@ -421,20 +421,20 @@ def test_many_sizes_are_one_warning(depth_files):
 
 
 @pytest.mark.parametrize("true_scale", [10000, 5000, 80000])
-def test_a_depth_scale_that_is_off_is_found_by_the_poses(true_scale):
+def test_a_wrong_depth_scale_is_found_from_poses(true_scale):
     frames = [
         replace(frame, depth=frame.depth * (true_scale / 1000), depth_scale=1000.0)
-        for frame in room_scan().frames
+        for frame in make_room_scan().frames
     ]
     warnings = list(map(str, inspect(Scan("x", frames)).diagnostics))
     (told,) = (text for text in warnings if "depth_scale" in text)
     assert told.startswith(f"the depth unit is probably wrong: with scan.depth_scale={true_scale}, ")
 
 
-def test_poses_of_a_camera_that_only_turns_say_nothing_of_the_scale():
-    poses = [pose_at(0, 0, 4 * i) for i in range(8)]
+def test_a_rotating_camera_gives_no_depth_scale():
+    poses = [make_pose(0, 0, 4 * i) for i in range(8)]
     frames = [
-        Frame(str(i), CAMERA, depth=room_depth(pose) * 10, world_from_camera=pose)
+        Frame(str(i), CAMERA, depth=render_room_depth(pose) * 10, world_from_camera=pose)
         for i, pose in enumerate(poses)
     ]
     assert not any(

@@ -1,4 +1,4 @@
-"""How far colour, depth and poses are apart is told in pixels, with what to do about it."""
+"""Misalignment of colour, depth and poses is reported in pixels, with a remedy."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -13,14 +13,14 @@ SAMPLE = Path(__file__).parents[3] / "samples" / "rgbd"
 
 
 @pytest.mark.slow
-def test_frames_that_agree_raise_no_warning():
+def test_consistent_frames_raise_no_warning():
     found = inspect(read_scan(SAMPLE))
     assert found.reprojection_error_px < 0.5
     assert not any("px (median" in text for text in map(str, found.diagnostics))
 
 
 @pytest.mark.slow
-def test_poses_that_are_off_are_told_with_the_way():
+def test_inexact_poses_are_reported_with_a_remedy():
     scan = read_scan(SAMPLE)
     steps = np.random.default_rng(3).normal(size=(len(scan.frames), 1, 6)) * 0.006
     frames = [

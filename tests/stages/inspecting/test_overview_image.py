@@ -1,4 +1,4 @@
-"""The picture beside an inspection: cameras where they stand, depth over colour where it is."""
+"""The picture of an inspection: camera positions from above, and depth drawn over colour."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -11,7 +11,7 @@ from scanloom.stages.scans.model.scan import Camera, Frame, Scan
 CAMERA = Camera(64, 48, 50, 50, 31.5, 23.5)
 
 
-def scan_of(*centres: tuple[float, float, float]) -> Scan:
+def make_scan(*centres: tuple[float, float, float]) -> Scan:
     depth = np.full((48, 64), 2.0, np.float32)
     depth[:, 32:] = 0
     frames = []
@@ -23,8 +23,8 @@ def scan_of(*centres: tuple[float, float, float]) -> Scan:
     return Scan("made", frames)
 
 
-def test_depth_is_drawn_where_it_is_and_colour_elsewhere() -> None:
-    picture = draw_inspection(scan_of((0, 0, 0), (1, 0, 0)))
+def test_depth_is_drawn_over_colour() -> None:
+    picture = draw_inspection(make_scan((0, 0, 0), (1, 0, 0)))
     assert picture.dtype == np.uint8
     assert picture.shape == (480, 480 + 8 + 480 + 8 + 640, 3)
     shown = picture[:, 976:]
@@ -32,17 +32,17 @@ def test_depth_is_drawn_where_it_is_and_colour_elsewhere() -> None:
     assert not np.array_equal(shown[240, 160], (255, 0, 0))
 
 
-def test_the_path_goes_from_blue_to_red() -> None:
-    above = draw_inspection(scan_of((0, 0, 0), (1, 0, 0), (2, 0, 0)))[:, :480]
+def test_the_path_changes_from_blue_to_red() -> None:
+    above = draw_inspection(make_scan((0, 0, 0), (1, 0, 0), (2, 0, 0)))[:, :480]
     blue = (above[..., 2].astype(int) - above[..., 0] > 100).nonzero()
     red = (above[..., 0].astype(int) - above[..., 2] > 100).nonzero()
     assert min(len(blue[0]), len(red[0])) > 0
-    # Ends of the path are at opposite sides.
+    # The ends of the path are on opposite sides.
     assert abs(np.median(blue[1]) - np.median(red[1])) + abs(np.median(blue[0]) - np.median(red[0])) > 200
 
 
-def test_without_poses_the_picture_says_so() -> None:
-    scan = scan_of((0, 0, 0))
+def test_without_poses_the_picture_has_a_note() -> None:
+    scan = make_scan((0, 0, 0))
     without = replace(scan, frames=[replace(frame, world_from_camera=None) for frame in scan.frames])
     picture = draw_inspection(without)
     assert picture.shape == (480, 480 + 8 + 640, 3)
@@ -57,7 +57,7 @@ def test_a_pair_is_shown_side_by_side() -> None:
     assert picture[300, 976 + 640 + 100, 0] == 200
 
 
-def test_the_command_writes_it(tmp_path: Path) -> None:
+def test_the_command_writes_the_picture(tmp_path: Path) -> None:
     from typer.testing import CliRunner
 
     from scanloom.cli.app import app

@@ -1,4 +1,4 @@
-"""What the system tells of itself, and what is odd about it."""
+"""System information and platform notes."""
 
 import os
 import sys
@@ -9,14 +9,14 @@ import pytest
 from scanloom.stages.inspecting import system
 
 
-def test_memory_is_told() -> None:
+def test_memory_is_reported() -> None:
     total, available = system.query_memory_bytes()
     assert total is not None
     assert total > 1 << 28
     assert available is None or 0 < available <= total
 
 
-def test_memory_where_there_is_no_proc(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_memory_without_a_proc_file_system(monkeypatch: pytest.MonkeyPatch) -> None:
     told = {"SC_PHYS_PAGES": 1000, "SC_PAGE_SIZE": 16384}
     monkeypatch.setattr(system, "_read_first_value", lambda path, key: None)  # noqa: ARG005
     monkeypatch.setattr(os, "sysconf", told.__getitem__)
@@ -30,15 +30,15 @@ def test_memory_where_there_is_no_proc(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="of Linux")
-def test_nothing_is_odd_about_a_usual_machine(tmp_path: Path) -> None:
+def test_a_usual_machine_has_no_platform_notes(tmp_path: Path) -> None:
     assert system.list_platform_notes(tmp_path) == []
 
 
-def test_letter_case_that_does_not_count_is_odd(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_case_insensitive_file_system_is_noted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     folder = tmp_path / "Scan 1" / "0123"
     folder.mkdir(parents=True)
     assert not system.is_case_insensitive(folder)
-    # As on a file system that finds one by the other's name.
+    # Imitate a case-insensitive file system.
     (tmp_path / "sCAN 1").symlink_to(tmp_path / "Scan 1")
     assert system.is_case_insensitive(folder)
     assert any("upper and lower case" in sentence for sentence in system.list_platform_notes(folder))
@@ -46,7 +46,7 @@ def test_letter_case_that_does_not_count_is_odd(tmp_path: Path, monkeypatch: pyt
     assert not system.is_case_insensitive(Path("/"))
 
 
-def test_another_system_is_odd(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_unsupported_platform_is_noted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "platform", "darwin")
     assert [text.partition(",")[0] for text in system.list_platform_notes(tmp_path)] == [
         "scanloom is tested on Linux; on macOS it is expected to work"

@@ -27,19 +27,19 @@ def scan_folder(tmp_path):
     return tmp_path
 
 
-def told(folder, **options):
+def list_warnings(folder, **options):
     return [str(one) for one in find_unused_files(read_scan(folder, ScanParams(**options), complete=False))]
 
 
-def test_where_all_is_used_nothing_is_told(scan_folder):
+def test_a_folder_without_unused_files_raises_no_warning(scan_folder):
     (scan_folder / "README.md").write_text("for people")
     (scan_folder / ".hidden").write_text("for nobody")
-    assert told(scan_folder) == []
-    # Frames that are not chosen are no files that nobody knew of.
-    assert told(scan_folder, last=0) == []
+    assert list_warnings(scan_folder) == []
+    # Files of frames that are not selected are not unused files.
+    assert list_warnings(scan_folder, last=0) == []
 
 
-def test_what_files_might_be_is_told_by_what_they_hold(scan_folder):
+def test_unused_files_are_described_by_their_content(scan_folder):
     (scan_folder / "other.json").write_text(json.dumps(CAMERA))
     (scan_folder / "camera_path.txt").write_text("1 0 0 0 0 1 0 0 0 0 1 0\n" * 3)
     (scan_folder / "notes.txt").write_text("we walked around the table")
@@ -48,7 +48,7 @@ def test_what_files_might_be_is_told_by_what_they_hold(scan_folder):
     np.savez(
         scan_folder / "mono.npz", mtx=np.array([[30, 0, 15.5], [0, 30, 11.5], [0, 0, 1]]), dist=np.zeros(5)
     )
-    assert told(scan_folder) == [
+    assert list_warnings(scan_folder) == [
         "associations.txt looks like pairs of colour and depth images, which this layout does not need",
         "camera_path.txt looks like 3 poses: scan.poses=camera_path.txt",
         "cloud.ply looks like points or a mesh",
@@ -56,10 +56,10 @@ def test_what_files_might_be_is_told_by_what_they_hold(scan_folder):
         "other.json looks like a camera calibration: scan.calibration=other.json",
         "notes.txt",
     ]
-    assert "camera_path.txt" not in " ".join(told(scan_folder, poses="camera_path.txt"))
+    assert "camera_path.txt" not in " ".join(list_warnings(scan_folder, poses="camera_path.txt"))
 
 
-def test_files_that_are_only_tried_emit_nothing(scan_folder):
+def test_probing_files_emits_no_warnings(scan_folder):
     (scan_folder / "other.json").write_text(json.dumps({**CAMERA, "fy": 90}))
     with collecting() as read:
         scan = read_scan(scan_folder, complete=False)
@@ -73,33 +73,33 @@ def test_files_that_are_only_tried_emit_nothing(scan_folder):
     assert CAMERA_CALIBRATION_CONTRADICTORY.name in [one.code for one in stated if one not in read]
 
 
-def test_what_adjust_found_is_no_camera(scan_folder):
+def test_results_of_adjust_are_not_reported_as_camera(scan_folder):
     name = read_scan(scan_folder, complete=False).frames[0].name
     found = {"accepted": True, "color_camera": None, "color_from_depth": None}
     found |= {"names": {"0": name}, "poses": {"0": np.eye(4).tolist()}}
     (scan_folder / "cameras.json").write_text(json.dumps(found))
-    assert told(scan_folder) == [
+    assert list_warnings(scan_folder) == [
         "cameras.json looks like a result of adjust: scan.adjusted_cameras=cameras.json"
     ]
 
 
-def test_many_files_of_a_kind_are_one_line(scan_folder):
+def test_many_files_of_a_kind_are_one_warning(scan_folder):
     (scan_folder / "masks").mkdir()
     for number in range(5):
         (scan_folder / "masks" / f"{number}.png").write_bytes(b"")
         (scan_folder / f"depth_picture_10{number}.jpg").write_bytes(b"")
-    assert told(scan_folder) == [
+    assert list_warnings(scan_folder) == [
         "depth_picture_*.jpg (5 files) looks like images",
         "masks/*.png (5 files) looks like masks: scan.masks=masks",
     ]
 
 
-def test_a_camera_that_was_found_beside_the_images_is_used(scan_folder):
+def test_a_camera_file_next_to_the_images_is_used(scan_folder):
     (scan_folder / "intrinsic.json").rename(scan_folder / "mine.json")
-    assert told(scan_folder) == []
+    assert list_warnings(scan_folder) == []
 
 
-def test_inspect_tells_it(scan_folder):
+def test_inspect_reports_unused_files(scan_folder):
     for number in range(20):
         (scan_folder / f"log.{number}").write_text("")
     found = inspect(read_scan(scan_folder, complete=False))
@@ -109,29 +109,29 @@ def test_inspect_tells_it(scan_folder):
     assert found.to_dict()["unused"][0] == {"name": "log.0", "count": 1, "looks_like": ""}
 
 
-def test_a_real_trajectory_under_a_name_of_its_own(shared_data, tmp_path):
+def test_a_real_trajectory_with_an_unusual_name(shared_data, tmp_path):
     folder = shared_data / "real" / "freiburg3_cabinet_keyframes"
-    assert told(folder) == []  # As many poses as frames: they are taken.
+    assert list_warnings(folder) == []  # As many poses as frames, so the trajectory is used.
     name = "truth_cam_poses.txt"
     for one in folder.iterdir():
         if one.name != name:
             (tmp_path / one.name).symlink_to(one)
     (tmp_path / name).write_text("".join((folder / name).read_text().splitlines(keepends=True)[:57]))
-    assert told(tmp_path) == [f"{name} looks like 57 poses: scan.poses={name}"]
+    assert list_warnings(tmp_path) == [f"{name} looks like 57 poses: scan.poses={name}"]
 
 
-def test_files_far_below_and_links_that_lead_around(scan_folder):
+def test_deeply_nested_files_and_link_cycles(scan_folder):
     deep = scan_folder / "logs" / "of" / "the day"
     deep.mkdir(parents=True)
     (deep / "way.tum").write_text("".join(f"{n} 0 0 {n} 0 0 0 1\n" for n in range(3)))
     (scan_folder / "logs" / "all of it").symlink_to(scan_folder, target_is_directory=True)
     (scan_folder / "again.tum").symlink_to(deep / "way.tum")
     (scan_folder / "itself.txt").symlink_to(scan_folder / "itself.txt")
-    (told_once,) = told(scan_folder)
+    (told_once,) = list_warnings(scan_folder)
     assert told_once == "again.tum looks like 3 poses: scan.poses=again.tum"
 
 
-def test_an_image_that_links_to_itself_is_left_out(scan_folder):
+def test_an_image_that_links_to_itself_is_ignored(scan_folder):
     path = scan_folder / "depth" / "1.png"
     path.unlink()
     path.symlink_to(path)
@@ -140,7 +140,7 @@ def test_an_image_that_links_to_itself_is_left_out(scan_folder):
     assert [one.name for one in scan.frames] == ["0"]
 
 
-def test_a_handful_of_texts_is_looked_into_one_by_one(scan_folder):
+def test_a_few_text_files_are_probed_individually(scan_folder):
     for number in range(6):
         (scan_folder / f"camera_{number}.json").write_text(json.dumps(CAMERA | {"fx": 30 + number}))
-    assert len(told(scan_folder)) == 6
+    assert len(list_warnings(scan_folder)) == 6

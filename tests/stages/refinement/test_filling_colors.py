@@ -1,4 +1,4 @@
-"""Colours of filled holes from made photos whose true colours are known."""
+"""Colours of filled holes from synthetic photos with known colours."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ CAMERA = Camera(160, 160, 200.0, 200.0, 79.5, 79.5)
 
 
 def _compute_colors(points: np.ndarray) -> np.ndarray:
-    """Return the true colours of the wall: a gradient, and a spot inside of the hole."""
+    """Compute the true colours of the wall: a gradient, and a spot inside the hole."""
     x, y = points[..., 0], points[..., 1]
     spot = np.exp(-(x**2 + y**2) / (2 * 0.02**2))
     return np.stack([110 + 250 * x + 80 * spot, 110 - 250 * y, 120 - 70 * spot], axis=-1)
 
 
 def _make_wall() -> tuple[Mesh, np.ndarray]:
-    """Return a wall at z = 0 with black vertices inside of a round hole, and their mask."""
+    """Make a wall at z = 0 whose vertices in a round hole are black; return their mask as well."""
     x, y = (axis.reshape(-1) for axis in np.meshgrid(*[np.arange(-20, 21) * EDGE] * 2, indexing="ij"))
     first = (np.arange(40)[:, None] * 41 + np.arange(40)).reshape(-1)
     corners = np.stack([first, first + 41, first + 42, first + 1], axis=1)
@@ -36,7 +36,7 @@ def _make_wall() -> tuple[Mesh, np.ndarray]:
 
 
 def _photograph(x: float, exposure: float, height: float = 0.6) -> Frame:
-    """Return a photo of the wall, made from a height above it by a camera that looks straight down."""
+    """Render a photo of the wall from a camera above that faces straight down."""
     pose = np.diag((1.0, -1.0, -1.0, 1.0))
     pose[:3, 3] = x, 0.0, height
     rows, columns = np.indices((CAMERA.height, CAMERA.width))
@@ -59,7 +59,7 @@ def test_fillings_get_the_colours_of_photos_without_their_exposure() -> None:
     colors = color_fillings(mesh, is_filled, frames, done.append)
     assert _measure_errors(mesh, colors, is_filled).max() < 4
     assert done == [1, 2, 3]
-    # The rim alone does not know the spot.
+    # Interpolation from the rim cannot reproduce the spot.
     assert _measure_errors(mesh, color_fillings(mesh, is_filled, []), is_filled).max() > 50
 
 
@@ -87,8 +87,8 @@ def test_occluded_and_reverse_views_are_not_used() -> None:
     assert _measure_errors(both, colors, filled).max() < 6
 
 
-def test_vertices_that_no_photo_shows_continue_the_others() -> None:
-    """The photo shows half of the hole."""
+def test_vertices_without_photos_continue_their_neighbours() -> None:
+    """The photo covers half of the hole."""
     mesh, is_filled = _make_wall()
     camera = Camera(80, 160, 200.0, 200.0, 79.5, 79.5)
     whole = _photograph(0.0, 0.0)
@@ -118,7 +118,7 @@ def test_photos_that_cannot_be_read_are_ignored(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("count", [1, 3])
-def test_a_mesh_without_colours_or_fillings_stays_as_it_is(count: int) -> None:
+def test_a_mesh_without_colours_or_fillings_is_unchanged(count: int) -> None:
     mesh, is_filled = _make_wall()
     frames = [_photograph(0.0, 0.0)] * count
     assert color_fillings(mesh.with_(colors=None), is_filled, frames) is None

@@ -28,7 +28,7 @@ NOISE = DepthNoise(0.001, 0.0)
 def _make_grid(
     count: int, shape: Callable[[np.ndarray, np.ndarray], np.ndarray], is_hole: Callable[..., np.ndarray]
 ) -> Mesh:
-    """Return a grid of count² squares over ±1, without the triangles whose centroid is in a hole."""
+    """Make a grid of count² squares over ±1, without the triangles whose centroid is in a hole."""
     x, y = (one.reshape(-1) for one in np.meshgrid(*[np.linspace(-1, 1, count + 1)] * 2, indexing="ij"))
     vertices = shape(x, y)
     first = (np.arange(count)[:, None] * (count + 1) + np.arange(count)).reshape(-1)
@@ -45,12 +45,12 @@ def _make_wall(x: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 
 def _make_ridge(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Return two walls that meet at a right angle along the y axis."""
+    """Make two walls that meet at a right angle along the y axis."""
     return np.stack([20 * EDGE * x, 20 * EDGE * y, -20 * EDGE * np.abs(x)], axis=1)
 
 
 def _make_dome(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Return a part of a sphere of radius 0.3 m around the origin."""
+    """Project points to a sphere of radius 0.3 m around the origin."""
     points = np.stack([x, y, np.full(x.shape, 1.5)], axis=1)
     return 0.3 * points / np.linalg.norm(points, axis=1, keepdims=True)
 
@@ -59,7 +59,7 @@ def _is_round_hole(x: np.ndarray, y: np.ndarray, radius: float = 0.2) -> np.ndar
     return np.hypot(x, y) < radius
 
 
-def _close(
+def _close_holes(
     mesh: Mesh, plane_ids: np.ndarray | None = None, max_length: float | None = 1.0, *views: PosedDepth
 ) -> ClosedHoles:
     def show(test: FreeSpaceTest) -> None:
@@ -70,10 +70,10 @@ def _close(
     return close_holes(mesh, ids, np.full(len(ids), 0.0005), NOISE, show, max_length)
 
 
-def _look_down(depth: float, size: int = 64) -> PosedDepth:
-    """Return a frame 1 m above the origin that looks down.
+def _make_frame_facing_down(depth: float, size: int = 64) -> PosedDepth:
+    """Make a frame 1 m above the origin that faces down.
 
-    It measures the same depth at size² pixels in the middle of the image, and none around them.
+    It has the same depth at size² pixels in the centre of the image, and none around them.
     """
     camera = Camera(64, 64, 100.0, 100.0, 31.5, 31.5)
     pose = np.diag((1.0, -1.0, -1.0, 1.0))
@@ -94,7 +94,7 @@ def _require_closed(mesh: Mesh, loops: int = 1) -> None:
 def test_a_hole_in_a_wall_is_filled_flat() -> None:
     wall = _make_grid(40, _make_wall, _is_round_hole)
     colors = np.tile(np.array([[200, 100, 50]], np.uint8), (len(wall.vertices), 1))
-    found = _close(wall.with_(colors=colors), np.zeros(len(wall.vertices)))
+    found = _close_holes(wall.with_(colors=colors), np.zeros(len(wall.vertices)))
     _require_closed(found.mesh)
     assert len(found.fillings) == 1
     assert found.area == pytest.approx(np.pi * (4 * EDGE) ** 2, rel=0.15)
@@ -112,8 +112,8 @@ def test_a_hole_in_a_wall_is_filled_flat() -> None:
     assert (filled_colors == colors[0]).all()
 
 
-def test_the_mark_is_written_and_no_cause_for_a_warning(tmp_path: Path) -> None:
-    found = _close(_make_grid(40, _make_wall, _is_round_hole))
+def test_the_mask_of_fillings_is_written_and_read_without_warning(tmp_path: Path) -> None:
+    found = _close_holes(_make_grid(40, _make_wall, _is_round_hole))
     write_ply(
         tmp_path / "refined.ply", found.mesh, vertex_values={"filled": found.is_filled.astype(np.float64)}
     )
@@ -124,7 +124,7 @@ def test_the_mark_is_written_and_no_cause_for_a_warning(tmp_path: Path) -> None:
 
 
 def test_a_cap_has_the_edge_length_of_the_mesh() -> None:
-    found = _close(_make_grid(40, _make_wall, _is_round_hole))
+    found = _close_holes(_make_grid(40, _make_wall, _is_round_hole))
     corners = found.mesh.vertices[found.mesh.triangles]
     lengths = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)
     assert lengths.max() < 1.5 * lengths[: -len(found.is_filled)].mean() * np.sqrt(2)
@@ -132,7 +132,7 @@ def test_a_cap_has_the_edge_length_of_the_mesh() -> None:
 
 
 def test_a_hole_in_a_curved_surface_is_filled_smoothly() -> None:
-    found = _close(_make_grid(40, _make_dome, _is_round_hole))
+    found = _close_holes(_make_grid(40, _make_dome, _is_round_hole))
     _require_closed(found.mesh)
     heights = np.linalg.norm(found.mesh.vertices[found.is_filled], axis=1) - 0.3
     # A flat cap would be 2 mm too low.
@@ -142,7 +142,7 @@ def test_a_hole_in_a_curved_surface_is_filled_smoothly() -> None:
 def test_a_crease_continues_straight_over_a_hole() -> None:
     ridge = _make_grid(40, _make_ridge, _is_round_hole)
     ids = np.where(ridge.vertices[:, 0] < 0, 0, 1)
-    found = _close(ridge, ids)
+    found = _close_holes(ridge, ids)
     _require_closed(found.mesh)
     x, _, z = found.mesh.vertices[found.is_filled].T
     assert np.abs(z + np.abs(x)).max() < 1e-9
@@ -154,11 +154,11 @@ def test_a_crease_continues_straight_over_a_hole() -> None:
 
 
 def _make_corner(is_hole: Callable[..., np.ndarray], sign: float) -> tuple[Mesh, np.ndarray]:
-    """Return three walls at right angles that meet in the origin, and the wall of each vertex.
+    """Make three walls at right angles that meet in the origin; return the wall of each vertex as well.
 
     The walls face the axis (1, 1, 1), or for sign −1 away from it.
     """
-    wall = _make_grid(20, lambda x, y: np.stack([x + 1, y + 1, 0 * x], axis=1) * 10 * EDGE, _no_hole)
+    wall = _make_grid(20, lambda x, y: np.stack([x + 1, y + 1, 0 * x], axis=1) * 10 * EDGE, _mask_no_hole)
     walls = [np.roll(wall.vertices, turn, axis=1) for turn in range(3)]
     count = len(wall.vertices)
     triangles = np.concatenate([wall.triangles + turn * count for turn in range(3)]).astype(np.int32)
@@ -174,7 +174,7 @@ def _make_corner(is_hole: Callable[..., np.ndarray], sign: float) -> tuple[Mesh,
 def test_three_planes_continue_to_their_corner(sign: float) -> None:
     mesh, ids = _make_corner(lambda centres: np.linalg.norm(centres, axis=1) < 4.3 * EDGE, sign)
     assert np.linalg.norm(mesh.vertices, axis=1).min() > 3 * EDGE
-    found = _close(mesh, ids)
+    found = _close_holes(mesh, ids)
     _require_closed(found.mesh)
     assert len(found.fillings) == 1
     filled = found.mesh.vertices[found.is_filled]
@@ -192,7 +192,7 @@ def test_three_planes_continue_to_their_corner(sign: float) -> None:
 
 @pytest.mark.parametrize(("slope", "is_corner"), [(0.6, True), (3.0, False)])
 def test_only_corners_near_the_hole_are_used(slope: float, is_corner: bool) -> None:
-    """Three planes that meet in a tip in the middle of a round hole."""
+    """Three planes meet in a tip at the centre of a round hole."""
     directions = np.radians((90, 210, 330))
     tips = np.stack([np.cos(directions), np.sin(directions), np.full(3, 1 / slope)], axis=1)
     planes = Planes(tips / np.linalg.norm(tips, axis=1, keepdims=True), np.zeros(3))
@@ -216,51 +216,51 @@ def test_only_corners_near_the_hole_are_used(slope: float, is_corner: bool) -> N
 
 def test_free_space_is_not_filled() -> None:
     wall = _make_grid(40, _make_wall, _is_round_hole)
-    behind = _close(wall, None, 1.0, _look_down(1.0), _look_down(1.5))
+    behind = _close_holes(wall, None, 1.0, _make_frame_facing_down(1.0), _make_frame_facing_down(1.5))
     assert len(behind.fillings) == 0
     assert behind.mesh is wall
     assert not behind.is_filled.any()
-    # A surface at the cap, in front of it, or no depth is no evidence against it.
+    # A surface at the cap, a surface in front of it, and missing depth do not contradict the cap.
     for depth in (1.0, 0.5, 0.0):
-        assert len(_close(wall, None, 1.0, _look_down(depth)).fillings) == 1
+        assert len(_close_holes(wall, None, 1.0, _make_frame_facing_down(depth)).fillings) == 1
 
 
-def test_a_single_wrong_measurement_keeps_no_hole_open() -> None:
+def test_a_single_wrong_measurement_does_not_keep_a_hole_open() -> None:
     wall = _make_grid(40, _make_wall, _is_round_hole)
     for count, size, hole_count in ((1, 1, 1), (1, 2, 1), (1, 3, 0), (2, 1, 0), (2, 2, 0)):
-        views = [_look_down(1.5, size)] * count
-        assert len(_close(wall, None, 1.0, *views, _look_down(1.0)).fillings) == hole_count
+        views = [_make_frame_facing_down(1.5, size)] * count
+        assert len(_close_holes(wall, None, 1.0, *views, _make_frame_facing_down(1.0)).fillings) == hole_count
 
 
 def test_only_holes_within_the_limit_are_filled() -> None:
     wall = _make_grid(
         40, _make_wall, lambda x, y: _is_round_hole(x + 0.5, y, 0.1) | _is_round_hole(x - 0.4, y, 0.3)
     )
-    assert [len(_close(wall, None, limit).fillings) for limit in (0.0, 0.1, 0.2, 0.6)] == [0, 0, 1, 2]
+    assert [len(_close_holes(wall, None, limit).fillings) for limit in (0.0, 0.1, 0.2, 0.6)] == [0, 0, 1, 2]
     # 20 mean edge lengths.
-    assert len(_close(wall, None, None).fillings) == 1
+    assert len(_close_holes(wall, None, None).fillings) == 1
 
 
-def test_a_mesh_without_holes_stays_as_it_is() -> None:
-    wall = _make_grid(10, _make_wall, _no_hole)
-    assert _close(wall, None, 100.0).mesh is wall
+def test_a_mesh_without_holes_is_unchanged() -> None:
+    wall = _make_grid(10, _make_wall, _mask_no_hole)
+    assert _close_holes(wall, None, 100.0).mesh is wall
     empty = Mesh(np.empty((0, 3)), np.empty((0, 3), np.int32))
-    assert _close(empty).mesh is empty
+    assert _close_holes(empty).mesh is empty
 
 
 def test_a_cap_does_not_touch_other_surface() -> None:
     wall = _make_grid(40, _make_wall, _is_round_hole)
     post = _make_grid(
-        4, lambda x, y: np.stack([0.2 * EDGE * x, np.zeros(x.shape), 0.1 * y], axis=1), _no_hole
+        4, lambda x, y: np.stack([0.2 * EDGE * x, np.zeros(x.shape), 0.1 * y], axis=1), _mask_no_hole
     )
     both = Mesh(
         np.concatenate([wall.vertices, post.vertices]),
         np.concatenate([wall.triangles, post.triangles + np.int32(len(wall.vertices))]),
     )
-    assert len(_close(both).fillings) == 0
+    assert len(_close_holes(both).fillings) == 0
 
 
-def _no_hole(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+def _mask_no_hole(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     return np.zeros(np.broadcast(x, y).shape, bool)
 
 
@@ -278,17 +278,17 @@ def test_random_holes_leave_an_oriented_manifold(seed: int) -> None:
     mesh = _make_grid(40, shape, is_hole)
     mesh = mesh.with_(vertices=mesh.vertices + rng.normal(0, 0.15 * EDGE, mesh.vertices.shape))
     ids = np.where(mesh.vertices[:, 0] < 0, 0, 1) if seed % 3 < 2 else None
-    found = _close(mesh, ids, 2.0)
+    found = _close_holes(mesh, ids, 2.0)
     before = topology(mesh)
     _require_closed(found.mesh, before.boundary_loops - len(found.fillings))
     assert len(found.fillings) > 3
-    again = _close(mesh, ids, 2.0)
+    again = _close_holes(mesh, ids, 2.0)
     assert np.array_equal(found.mesh.vertices, again.mesh.vertices)
     assert np.array_equal(found.mesh.triangles, again.mesh.triangles)
 
 
-def test_refine_fills_what_no_frame_has_seen() -> None:
-    """Depth is missing in a disc of the board in all frames, as on a black spot."""
+def test_refine_fills_surface_without_depth() -> None:
+    """In all frames, depth is missing in a disc of the board, like on a black spot."""
     views, depths = make_posed_scan()
     rng = np.random.default_rng(2)
     centre = np.array((-0.3, 0.3, BOARD_Z))
@@ -320,7 +320,7 @@ def test_refine_fills_what_no_frame_has_seen() -> None:
     assert sum(one["area_m2"] for one in largest) <= metrics["filled_area_m2"] + 1e-12
     assert min(np.linalg.norm(np.array(one["point_m"]) - centre) for one in largest) < 0.02
     assert filled.mesh.colors is not None
-    # Black would be no colour of the board.
+    # Black does not occur on the board.
     assert filled.mesh.colors[filled.is_filled].min() > 0
     assert len(filled.is_filled) == len(filled.deviations) == len(filled.plane_ids) == metrics["vertices"]
     kept = refine(fused, scan, fill_holes=0)

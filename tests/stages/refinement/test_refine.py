@@ -53,7 +53,7 @@ def refined(fused: Mesh, scan: Scan) -> RefinementResult:
 
 
 def _measure(mesh: Mesh) -> dict[str, float]:
-    """Return RMS heights over ball and board in metres, and the tilt of the board's normals in degrees."""
+    """Compute RMS heights over ball and board in metres, and the tilt of the board's normals in degrees."""
     centroids, normals, areas = _describe_triangles(mesh.vertices, mesh.triangles)
     distance = np.linalg.norm(centroids, axis=1)
     is_ball = distance < RADIUS + 0.01
@@ -76,7 +76,7 @@ def _describe_triangles(
     return (a + b + c) / 3, normals / np.maximum(lengths, 1e-30)[:, None], lengths
 
 
-def test_the_surface_comes_nearer_to_the_true_one(fused: Mesh, refined: RefinementResult) -> None:
+def test_refinement_reduces_the_distance_to_the_true_surface(fused: Mesh, refined: RefinementResult) -> None:
     before, after = _measure(fused), _measure(refined.mesh)
     assert after["ball"] < 0.6 * before["ball"]
     assert abs(after["ball_mean"]) < NOISE / 10
@@ -84,7 +84,7 @@ def test_the_surface_comes_nearer_to_the_true_one(fused: Mesh, refined: Refineme
     assert after["tilt"] < 0.1 < 1.0 < before["tilt"]
 
 
-def test_the_board_is_a_plane_and_the_ball_is_not(refined: RefinementResult) -> None:
+def test_a_plane_is_found_on_the_board_and_not_on_the_ball(refined: RefinementResult) -> None:
     vertices = refined.mesh.vertices
     is_ball = np.linalg.norm(vertices, axis=1) < RADIUS + 0.01
     is_board = (np.abs(vertices[:, 2] - BOARD_Z) < 0.005) & ~is_ball
@@ -138,21 +138,21 @@ def test_a_smaller_strength_moves_less(fused: Mesh, scan: Scan, refined: Refinem
     assert weak.moves.max() < 0.5 * refined.moves.max()
 
 
-def test_without_planes_no_vertex_has_one(fused: Mesh, scan: Scan) -> None:
+def test_without_planes_no_vertex_belongs_to_a_plane(fused: Mesh, scan: Scan) -> None:
     curved = refine(fused, scan, planes=False)
     assert curved.plane_count == 0
     assert (curved.plane_ids == -1).all()
     assert _measure(curved.mesh)["tilt"] < 1.5
 
 
-def test_a_single_frame_leaves_the_mesh_as_it_is(fused: Mesh, scan: Scan) -> None:
+def test_a_single_frame_does_not_change_the_mesh(fused: Mesh, scan: Scan) -> None:
     kept = refine(fused, scan.frames[:1])
     assert np.array_equal(kept.mesh.vertices, fused.vertices)
     assert "do not overlap enough" in kept.reason
     assert not kept.diagnostics
 
 
-def test_a_mesh_in_other_coordinates_stays_as_it_is(fused: Mesh, scan: Scan) -> None:
+def test_a_mesh_in_other_coordinates_is_unchanged(fused: Mesh, scan: Scan) -> None:
     kept = refine(fused.with_(vertices=fused.vertices + np.array((10.0, 0, 0))), scan)
     assert np.array_equal(kept.mesh.triangles, fused.triangles)
     assert "no frame has measured this mesh" in kept.reason

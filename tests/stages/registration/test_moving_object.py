@@ -1,4 +1,4 @@
-"""A thing that turns before a camera that stands still is registered alone; one that moves sees a scene."""
+"""Registration of an object that turns in front of a static camera, without its background."""
 
 from __future__ import annotations
 
@@ -33,40 +33,40 @@ TURNTABLE = "rgbd/turntable_d435_data1"
 INTRINSICS = "616.8676,617.0631,319.5701,233.0649"
 
 
-def true_pose(angle: float) -> Pose:
-    """Camera to thing."""
+def compute_true_pose(angle: float) -> Pose:
+    """Compute object-from-camera for an angle of the turntable."""
     return invert_pose(turntable_object.make_object_pose(angle)) @ turntable_object.camera_pose()
 
 
-def errors(found: Registration, angles: list[float]) -> tuple[list[float], list[float]]:
-    """Return by how much turns are off, degrees, and what is in the middle of the plate, metres."""
-    first = invert_pose(true_pose(angles[found.frame_indices[0]]))
+def compute_errors(found: Registration, angles: list[float]) -> tuple[list[float], list[float]]:
+    """Compute rotation errors in degrees, and errors at the centre of the plate in metres."""
+    first = invert_pose(compute_true_pose(angles[found.frame_indices[0]]))
     turns, shifts = [], []
     for place, frame in zip(found.frame_indices, found.frames, strict=True):
-        off = invert_pose(first @ true_pose(angles[place])) @ frame.world_from_camera
+        off = invert_pose(first @ compute_true_pose(angles[place])) @ frame.world_from_camera
         turns.append(float(np.degrees(Rotation.from_matrix(off[:3, :3]).magnitude())))
         middle = np.array((0, 0, 0.6, 1))
         shifts.append(float(np.linalg.norm((off @ middle - middle)[:3])))
     return turns, shifts
 
 
-def require_alone(found: Registration, angles: list[float]) -> None:
-    """What is fused is on the plate, and within the masks there is nothing else."""
+def assert_only_object(found: Registration, angles: list[float]) -> None:
+    """Check that the fused mesh is on the plate and that the masks contain nothing else."""
     for place, frame in zip(found.frame_indices, found.frames, strict=True):
         _, _, shows = turntable_object.render_view(angles[place])
         assert np.mean((frame.mask > 0) & (shows == 0)) < 0.002
     mesh = fuse(list(found.frames), voxel_size=0.004).mesh
-    world = true_pose(angles[found.frame_indices[0]])
+    world = compute_true_pose(angles[found.frame_indices[0]])
     points = mesh.vertices @ world[:3, :3].T + world[:3, 3]
     assert np.hypot(points[:, 0], points[:, 1]).max() < turntable_object.PLATE + 0.01
     assert points[:, 2].min() > -0.01
-    # The box and the ball are there.
+    # The box and the ball are reconstructed.
     assert np.count_nonzero(points[:, 2] > 0.09) > 100
     near_ball = np.linalg.norm(points - turntable_object.BALL[0], axis=1) < turntable_object.BALL[1] + 0.005
     assert np.count_nonzero(near_ball) > 100
 
 
-def test_what_turns_before_a_wall_is_registered_alone() -> None:
+def test_a_turning_object_is_registered_without_its_background() -> None:
     angles = [20.0 * k for k in range(10)]
     frames = turntable_object.frames(angles, texture=20)
     before = frames[0].depth.copy()
@@ -74,24 +74,24 @@ def test_what_turns_before_a_wall_is_registered_alone() -> None:
     assert found.subject == "object"
     assert found.to_dict()["subject"] == "object"
     assert [len(piece) for piece in found.pieces] == [len(angles)]
-    turns, shifts = errors(found, angles)
+    turns, shifts = compute_errors(found, angles)
     assert max(turns) < 1.2
     assert max(shifts) < 0.004
-    require_alone(found, angles)
+    assert_only_object(found, angles)
     np.testing.assert_array_equal(frames[0].depth, before)
 
 
-def test_marks_on_the_plate_are_enough_for_a_plain_thing_and_large_steps() -> None:
+def test_marks_on_the_plate_register_an_untextured_object_with_large_steps() -> None:
     angles = [47.0 * k for k in range(6)]
     found = register(turntable_object.frames(angles, texture=4, dots=True), loops=False)
     assert [len(piece) for piece in found.pieces] == [len(angles)]
-    turns, shifts = errors(found, angles)
+    turns, shifts = compute_errors(found, angles)
     assert max(turns) < 2.0
     assert max(shifts) < 0.004
-    require_alone(found, angles)
+    assert_only_object(found, angles)
 
 
-def test_nothing_that_moves_is_a_scene_however_still_the_camera_stands() -> None:
+def test_a_static_scene_with_a_static_camera_has_no_moving_object() -> None:
     frames = turntable_object.frames([0.0] * 4)
     assert not has_moving_object(frames)
     found = register(frames)
@@ -101,7 +101,7 @@ def test_nothing_that_moves_is_a_scene_however_still_the_camera_stands() -> None
         register(frames, subject="object")
 
 
-def test_a_camera_that_moves_sees_a_scene() -> None:
+def test_a_moving_camera_has_no_moving_object() -> None:
     frames = [replace(frame, world_from_camera=None) for frame in read_scan(SAMPLE).frames[::4]]
     assert not has_moving_object(frames)
     auto, scene = register(frames), register(frames, subject="scene")
@@ -115,12 +115,12 @@ def test_a_camera_that_moves_sees_a_scene() -> None:
 @pytest.mark.parametrize(
     "name", ["rgbd/7scenes_redkitchen", "real/rgbd_dataset_freiburg1_rpy", "real/phone_desk_no_calibration"]
 )
-def test_public_scans_of_scenes_are_taken_for_such(shared_data: Path, name: str) -> None:
+def test_public_scans_of_scenes_have_no_moving_object(shared_data: Path, name: str) -> None:
     assert not has_moving_object(read_scan(shared_data / name, complete=False).frames)
 
 
-def test_what_does_not_move_as_one_thing_ends_with_a_reason() -> None:
-    """Frames of two things in which nothing is recognised: no mesh of them would mean anything."""
+def test_independently_moving_objects_are_an_error() -> None:
+    """Without feature matches, a mesh of independently moving objects would be meaningless."""
     frames = turntable_object.frames([0.0, 160.0, 40.0, 250.0], texture=3)
     draw = np.random.default_rng(0)
     torn = []
@@ -136,7 +136,7 @@ def test_what_does_not_move_as_one_thing_ends_with_a_reason() -> None:
         register(torn)
 
 
-def test_inspect_tells_what_will_be_registered() -> None:
+def test_inspect_reports_the_subject_of_registration() -> None:
     scan = Scan("made", turntable_object.frames([0.0, 25.0, 50.0, 75.0]))
     found = inspect(scan)
     assert found.to_dict()["subject"] == "object"
@@ -149,7 +149,7 @@ def test_inspect_tells_what_will_be_registered() -> None:
 def test_a_plush_dog_on_a_marked_sheet_is_fused_without_its_background(
     shared_data: Path, tmp_path: Path
 ) -> None:
-    """Six frames of steps about 60° apart: the sheet turns by hand, the keyboard behind does not."""
+    """Six frames about 60° apart: the sheet is turned by hand, the keyboard behind is static."""
     config = Config().set([f"scan.intrinsics={INTRINSICS}", "fuse.voxel_size=0.003"])
     out = tmp_path / "out"
     ran = run(shared_data / TURNTABLE, out, config, until="fuse")
@@ -160,17 +160,19 @@ def test_a_plush_dog_on_a_marked_sheet_is_fused_without_its_background(
     assert len(masks) == 6
     assert all(0.1 < np.mean(mask > 0) < 0.45 for mask in masks)
     scan = read_scan(shared_data / TURNTABLE, ScanParams(intrinsics=INTRINSICS), complete=False)
-    kept = np.concatenate([depth_within(frame, mask) for frame, mask in zip(scan.frames, masks, strict=True)])
-    # The keyboard and the screen stand from 0.5 m on.
+    kept = np.concatenate(
+        [read_masked_depth(frame, mask) for frame, mask in zip(scan.frames, masks, strict=True)]
+    )
+    # The keyboard and the screen begin at 0.5 m.
     assert np.percentile(kept, 99.5) < 0.5
 
 
-def depth_within(frame: Frame, mask: np.ndarray) -> np.ndarray:
+def read_masked_depth(frame: Frame, mask: np.ndarray) -> np.ndarray:
     depth = read_depth(replace(frame, mask=mask))
     return depth[depth > 0]
 
 
-def test_the_whole_is_taken_where_the_scene_is_asked_for(shared_data: Path) -> None:
+def test_subject_scene_registers_the_whole_scene(shared_data: Path) -> None:
     scan = read_scan(shared_data / TURNTABLE, ScanParams(intrinsics=INTRINSICS), complete=False)
     found = register(scan, subject="scene")
     assert found.subject == "scene"
@@ -183,34 +185,34 @@ def test_the_whole_is_taken_where_the_scene_is_asked_for(shared_data: Path) -> N
 PLATE = Plate(np.array((0.0, 0.0, 0.5)), np.diag((-1.0, 1.0, -1.0)), 0.4)
 
 
-def marks(seed: int, count: int = 14) -> np.ndarray:
+def draw_marks(seed: int, count: int = 14) -> np.ndarray:
     return np.random.default_rng(seed).uniform(-0.15, 0.15, (count, 2))
 
 
-def test_the_turn_of_marks_is_found_among_others() -> None:
-    here = marks(1)
+def test_the_rotation_of_marks_is_found_among_outliers() -> None:
+    here = draw_marks(1)
     angle, shift = np.radians(131.0), np.array((0.02, -0.03))
     cosine, sine = np.cos(angle), np.sin(angle)
     there = here[2:11] @ np.array(((cosine, -sine), (sine, cosine))).T + shift
-    found = estimate_plate_motion(here, np.concatenate([there, marks(2, 6)]), PLATE)
+    found = estimate_plate_motion(here, np.concatenate([there, draw_marks(2, 6)]), PLATE)
     assert found is not None
     assert found.mark_count >= 9
     np.testing.assert_allclose(found.target_from_source, PLATE.compute_motion(angle, shift), atol=1e-6)
 
 
-def test_marks_of_another_plate_tell_no_motion() -> None:
-    assert estimate_plate_motion(marks(1), marks(7), PLATE) is None
-    assert estimate_plate_motion(marks(1, 3), marks(7, 0), PLATE) is None
+def test_different_marks_give_no_motion() -> None:
+    assert estimate_plate_motion(draw_marks(1), draw_marks(7), PLATE) is None
+    assert estimate_plate_motion(draw_marks(1, 3), draw_marks(7, 0), PLATE) is None
 
 
-def test_marks_that_stay_are_not_of_the_plate() -> None:
-    table, turning = marks(3, 5), [marks(10 + k, 6) for k in range(4)]
+def test_static_marks_are_not_on_the_plate() -> None:
+    table, turning = draw_marks(3, 5), [draw_marks(10 + k, 6) for k in range(4)]
     found = drop_static_marks({k: np.concatenate([table, own]) for k, own in enumerate(turning)}, PLATE)
     for k, own in enumerate(turning):
         np.testing.assert_array_equal(found[k], own)
     assert drop_static_marks({0: np.zeros((0, 2)), 1: table}, PLATE)[0].shape == (0, 2)
 
 
-def test_a_piece_of_one_frame_needs_no_mask() -> None:
+def test_a_component_of_one_frame_needs_no_mask() -> None:
     with pytest.raises(InputError, match="1 of 1 frames can be used"):
         register(turntable_object.frames([0.0]))

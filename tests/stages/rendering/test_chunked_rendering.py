@@ -1,4 +1,4 @@
-"""A mesh in pieces looks as the whole does."""
+"""Images of a chunked mesh equal images of the mesh in memory."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ pytestmark = pytest.mark.usefixtures("few_at_a_time")
 
 
 @pytest.mark.parametrize("shading", ["color", "plain"])
-def test_pictures_are_those_of_the_whole(
+def test_images_equal_those_of_the_mesh_in_memory(
     large: Path, shading: Shading, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     whole, pieced = read_ply(large), ChunkedMesh(ChunkedPly(large))
     middle = pieced.box.mean(axis=0)
     around = (
-        # From above, without what looks away; as a frame saw it; and in the midst of the pieces.
+        # From above with culling; from the pose of a frame; and from inside.
         *viewpoints(whole, 2, frames=read_scan(SAMPLE).frames, width=160),
         look_at(middle, middle + np.array((0.3, 0.2, 1)), (0, -1, 0), 160, 120, field=100),
     )
@@ -37,7 +37,7 @@ def test_pictures_are_those_of_the_whole(
     expected = [model.draw(one, shading).astype(int) for one in around]
     found = list(draw_chunked(pieced, around, pieced.box, shading=shading))
     for one, other in zip(found, expected, strict=True):
-        # A ray along an edge may meet either triangle.
+        # A ray along an edge may hit either triangle.
         assert np.count_nonzero(np.abs(one - other).max(axis=2) > 1) <= 5
         assert len(np.unique(one)) > 30
     monkeypatch.setattr(chunked_rendering, "_BATCH_PIXELS", 1)

@@ -1,4 +1,4 @@
-"""Pictures of two meshes compared: PSNR and SSIM by their formulas, of what both cover."""
+"""Comparison of rendered images of two meshes: PSNR and SSIM by formula, over pixels that both cover."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def ball(color: int | None, subdivisions: int = 3, radius: float = 1.0) -> Mesh:
     return Mesh(np.array(made.vertices), np.array(made.faces, np.int32), colors)
 
 
-def test_the_same_mesh_looks_the_same() -> None:
+def test_equal_meshes_have_equal_images() -> None:
     for mesh in (ball(90), ball(None), wrapped_ball()):
         told = compare_views(mesh, mesh, views=3, view_width=WIDTH).to_dict()
         assert told["psnr_db"] is None
@@ -39,14 +39,14 @@ def test_two_greys_differ_by_the_formulas() -> None:
     told = found.to_dict()
     assert told["compared"] == "colors"
     assert told["psnr_db"] == pytest.approx(20 * np.log10(255 / 10), abs=1e-3)
-    # Of constants, only the first factor of SSIM is not 1.
+    # For constant images, only the first factor of SSIM differs from 1.
     small = (0.01 * 255) ** 2
     assert told["ssim"] == pytest.approx((2 * 100 * 110 + small) / (100**2 + 110**2 + small), abs=1e-5)
     assert told["silhouette_iou"] == 1
 
 
-def similarity(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Return SSIM around each pixel by the formula of Wang et al., weights of a Gaussian of 1.5 pixels."""
+def compute_ssim(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Compute SSIM around each pixel (Wang et al.), weighted by a Gaussian of 1.5 pixels."""
 
     def mean(values: np.ndarray) -> np.ndarray:
         return gaussian_filter(values, 1.5, truncate=3.5)
@@ -57,7 +57,7 @@ def similarity(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return (2 * ma * mb + c1) * (2 * both + c2) / ((ma**2 + mb**2 + c1) * (va + vb + c2))
 
 
-def test_noise_beside_less_of_it_differs_by_the_formulas_over_what_both_cover() -> None:
+def test_psnr_and_ssim_of_noise_follow_the_formulas_over_common_pixels() -> None:
     rng = np.random.default_rng(3)
     noise = ball(100, 5)
     colors = rng.integers(0, 256, noise.colors.shape, np.uint8)
@@ -74,16 +74,16 @@ def test_noise_beside_less_of_it_differs_by_the_formulas_over_what_both_cover() 
     assert found.to_dict()["psnr_db"] == pytest.approx(10 * np.log10(255**2 / mse), abs=0.02)
     whole = binary_erosion(covered, np.ones((11, 11)))
     assert whole.sum() > 500
-    wanted = np.mean([similarity(a[..., k], b[..., k])[whole].mean() for k in range(3)])
+    wanted = np.mean([compute_ssim(a[..., k], b[..., k])[whole].mean() for k in range(3)])
     assert found.to_dict()["ssim"] == pytest.approx(wanted, abs=2e-3)
     assert 0.2 < wanted < 0.95
 
 
-def test_what_only_one_covers_counts_for_silhouettes_alone() -> None:
+def test_pixels_of_one_mesh_only_affect_the_silhouette() -> None:
     found = compare_views(ball(100), ball(100, radius=0.8), views=2, view_width=160)
     told = found.to_dict()
     assert told["psnr_db"] is None
-    # Nearly by area: a ball is seen a little larger than its disc.
+    # Approximately by area: the silhouette of a ball in perspective is slightly larger than its disc.
     assert told["silhouette_iou"] == pytest.approx(0.64, abs=0.04)
     picture = found.worst.image
     assert picture.shape == (120, 480, 3)
@@ -103,7 +103,7 @@ def test_without_colours_shading_is_compared() -> None:
     assert closer["ssim"] > told["ssim"]
 
 
-def test_the_worst_view_is_that_of_the_lowest_psnr() -> None:
+def test_the_worst_view_has_the_lowest_psnr() -> None:
     painted = ball(100)
     colors = painted.colors.copy()
     colors[painted.vertices[:, 2] > 0.4] = 180
@@ -114,7 +114,7 @@ def test_the_worst_view_is_that_of_the_lowest_psnr() -> None:
     assert max(finite) - min(finite) > 3
 
 
-def test_wrong_words_and_clouds_are_refused() -> None:
+def test_invalid_parameters_and_clouds_are_refused() -> None:
     with pytest.raises(UsageError, match="views is -1"):
         compare_views(ball(1), ball(1), views=-1)
     with pytest.raises(MeshError, match="second mesh: it has no triangles"):

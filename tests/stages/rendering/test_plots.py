@@ -1,4 +1,4 @@
-"""Plots: files of their kind, the same for the same figures, that show what they are of."""
+"""Plots: valid files with the expected content, deterministic."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from scanloom import UsageError, tradeoff
 from scanloom.stages.rendering.plots import plot_seconds, plot_tradeoff, require_plots
 
 
-def dark(pixels: np.ndarray) -> int:
+def count_dark_pixels(pixels: np.ndarray) -> int:
     return int((pixels.max(axis=2) < 200).sum())
 
 
@@ -26,7 +26,7 @@ def test_the_curve_is_drawn(tmp_path: Path, mesh: object) -> None:
     plot_tradeoff(tmp_path / "a.png", found)
     image = cv2.imread(str(tmp_path / "a.png"))
     assert image.shape[1] == 1050
-    assert dark(image) > 5000
+    assert count_dark_pixels(image) > 5000
     for name in ("a.svg", "b.svg"):
         plot_tradeoff(tmp_path / name, found)
     assert (tmp_path / "a.svg").read_bytes() == (tmp_path / "b.svg").read_bytes()
@@ -35,12 +35,12 @@ def test_the_curve_is_drawn(tmp_path: Path, mesh: object) -> None:
 
 
 @pytest.mark.slow
-def test_what_has_no_error_can_be_drawn(tmp_path: Path) -> None:
+def test_a_curve_without_error_can_be_drawn(tmp_path: Path) -> None:
     plot_tradeoff(tmp_path / "a.png", tradeoff(sheet(4), counts=[10**6], samples=50))
     assert cv2.imread(str(tmp_path / "a.png")) is not None
 
 
-def test_bars_are_as_long_as_stages_took(tmp_path: Path) -> None:
+def test_bars_are_proportional_to_the_time_of_stages(tmp_path: Path) -> None:
     plot_seconds(tmp_path / "a.png", {"fuse": 4.0, "simplify": 1.0}, {"simplify"})
     image = cv2.imread(str(tmp_path / "a.png")).astype(int)
     blue = image[..., 0] - image[..., 2] > 80
@@ -50,7 +50,7 @@ def test_bars_are_as_long_as_stages_took(tmp_path: Path) -> None:
     assert np.flatnonzero(blue.any(axis=1)).max() < np.flatnonzero(grey.any(axis=1)).min(), "in their order"
 
 
-def test_without_the_library_it_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_matplotlib_the_error_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     with pytest.raises(UsageError, match=r"plots require matplotlib; install scanloom\[plot\]\."):
         require_plots()

@@ -1,4 +1,4 @@
-"""A cloud as triangles: one for each point, around it, facing as it does."""
+"""Point clouds as triangles: one around each point, oriented by its normal."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from scanloom.stages.surface.raycasting import compute_triangle_normals
 
 
 @pytest.mark.parametrize("has_normals", [True, False])
-def test_each_point_is_a_triangle_around_it_along_the_surface(has_normals: bool) -> None:
+def test_each_point_becomes_a_triangle_tangent_to_the_surface(has_normals: bool) -> None:
     rng = np.random.default_rng(1)
     directions = rng.normal(size=(2000, 3))
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
@@ -23,7 +23,7 @@ def test_each_point_is_a_triangle_around_it_along_the_surface(has_normals: bool)
     np.testing.assert_allclose(corners.mean(axis=1), ball.vertices, atol=1e-8)
     sides = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)
     np.testing.assert_allclose(sides, sides[0, 0], rtol=1e-5)
-    # About as large as the gaps, 0.16 m on average.
+    # About as large as the point spacing, 0.16 m on average.
     assert 0.1 < sides[0, 0] < 0.6
     facing = np.abs(np.einsum("kx,kx->k", compute_triangle_normals(drawn), directions))
     assert facing.min() > (0.999 if has_normals else 0.9)
@@ -31,7 +31,7 @@ def test_each_point_is_a_triangle_around_it_along_the_surface(has_normals: bool)
     assert drawn.up == (0, 0, 1)
 
 
-def test_of_many_points_some_are_drawn_the_same_ones_every_time() -> None:
+def test_large_clouds_are_subsampled_deterministically() -> None:
     many = make_cloud(np.random.default_rng(2).normal(size=(3000, 3)))
     drawn, again = make_point_splats(many, 100), make_point_splats(many, 100)
     assert len(drawn.triangles) == 100

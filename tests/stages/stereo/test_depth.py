@@ -1,4 +1,4 @@
-"""Depth of pairs rendered by hand, whose disparity and depth are known."""
+"""Depth of rendered pairs with known disparity and depth."""
 
 from __future__ import annotations
 
@@ -22,65 +22,65 @@ WIDTH, HEIGHT = 320, 240
 CAMERA = Camera(WIDTH, HEIGHT, 300.0, 300.0, 159.5, 119.5)
 
 
-def baseline(metres: float) -> np.ndarray:
+def make_baseline(metres: float) -> np.ndarray:
     right_from_left = np.eye(4)
     right_from_left[0, 3] = -metres
     return right_from_left
 
 
-RIG = StereoRig(CAMERA, CAMERA, baseline(0.1), is_rectified=True)
+RIG = StereoRig(CAMERA, CAMERA, make_baseline(0.1), is_rectified=True)
 
 
 @cache
-def noise() -> np.ndarray:
-    """Fixed random grey levels, smooth over about two pixels, repeating every 512."""
+def make_noise() -> np.ndarray:
+    """Make fixed random grey levels, smooth over about two pixels, with a period of 512."""
     raw = np.random.default_rng(3).uniform(20, 235, (512, 512)).astype(np.float32)
     smooth = gaussian_filter(raw, 1.0, mode="wrap")
     return np.clip((smooth - 127) * 3 + 127, 0, 255)
 
 
-def texture(u: np.ndarray, v: np.ndarray) -> np.ndarray:
-    """Grey levels of the noise at real coordinates."""
+def sample_noise(u: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """Sample the noise at real coordinates."""
     u, v = (np.mod(x, 512).astype(np.float32) for x in (u, v))
-    return cv2.remap(noise(), u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP)
+    return cv2.remap(make_noise(), u, v, cv2.INTER_LINEAR, borderMode=cv2.BORDER_WRAP)
 
 
-def pixels() -> tuple[np.ndarray, np.ndarray]:
+def make_pixel_grid() -> tuple[np.ndarray, np.ndarray]:
     u, v = np.meshgrid(np.arange(WIDTH, dtype=np.float64), np.arange(HEIGHT, dtype=np.float64))
     return u, v
 
 
-def slanted_pair(
+def render_slanted_pair(
     at_corner: float, per_column: float, per_row: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Left and right grey image of a plane, and the left disparity: linear in the pixel coordinates."""
-    u, v = pixels()
+    """Render left and right grey images of a plane; return the left disparity, linear in pixels."""
+    u, v = make_pixel_grid()
     left_u = (u + at_corner + per_row * v) / (1 - per_column)
-    images = [texture(u, v), texture(left_u, v)]
+    images = [sample_noise(u, v), sample_noise(left_u, v)]
     truth = at_corner + per_column * u + per_row * v
     return images[0].astype(np.uint8), images[1].astype(np.uint8), truth
 
 
-def errors(result: DepthMap, truth: np.ndarray) -> np.ndarray:
+def measure_errors(result: DepthMap, truth: np.ndarray) -> np.ndarray:
     return np.abs(result.disparity - truth)[result.depth > 0]
 
 
 @pytest.mark.parametrize("matcher", ["3way", "hh4", "sgbm", "hh"])
-def test_slanted_plane_has_its_disparity_to_a_fraction_of_a_pixel(matcher: str) -> None:
-    left, right, truth = slanted_pair(8, 0.05, 0.03)
+def test_the_disparity_of_a_slanted_plane_has_subpixel_accuracy(matcher: str) -> None:
+    left, right, truth = render_slanted_pair(8, 0.05, 0.03)
 
     result = depth(left, right, RIG, matcher=matcher, disparities=64)
 
-    wrong = errors(result, truth)
+    wrong = measure_errors(result, truth)
     assert np.median(wrong) < 0.15
     assert np.mean(wrong > 1) < 0.002
-    # What leaves the right image on the left cannot be matched; of the rest nearly all is.
+    # Pixels that leave the right image on the left cannot be matched; nearly all others are.
     seen = (np.arange(WIDTH) - truth) >= 0
     assert np.mean(result.depth[seen] > 0) > 0.97
 
 
-def test_the_left_side_is_covered_as_far_as_the_right_image_shows_it() -> None:
-    left, right, truth = slanted_pair(12, 0, 0)
+def test_the_left_border_is_covered_as_far_as_visible_in_the_right_image() -> None:
+    left, right, truth = render_slanted_pair(12, 0, 0)
 
     result = depth(left, right, RIG, disparities=128)
 
@@ -89,8 +89,8 @@ def test_the_left_side_is_covered_as_far_as_the_right_image_shows_it() -> None:
     assert np.median(np.abs(result.disparity - truth)[:, 16:128]) < 0.1
 
 
-def test_depth_counts_in_the_offset_of_the_principal_points() -> None:
-    left, right, _ = slanted_pair(10, 0, 0)
+def test_depth_includes_the_principal_point_offset() -> None:
+    left, right, _ = render_slanted_pair(10, 0, 0)
     rig = replace(RIG, right=replace(CAMERA, cx=CAMERA.cx + 5))
 
     result = depth(left, right, rig, disparities=32)
@@ -104,26 +104,27 @@ def test_depth_counts_in_the_offset_of_the_principal_points() -> None:
     [
         ({"matcher": "3way", "sgbm": {"left_right": "project"}}, 0.002, 0.05),
         ({"matcher": "3way", "sgbm": {"left_right": "match"}}, 0.002, 0.05),
-        # What the right camera cannot see is taken from what is around: four of five times the wall.
+        # Pixels occluded in the right image are filled from their surroundings, of which four fifths are
+        # wall.
         ({"matcher": "census"}, 0.003, None),
     ],
 )
-def test_a_foreground_does_not_lend_its_depth_to_the_background(
+def test_foreground_depth_does_not_bleed_into_the_background(
     given: dict[str, Any], wrong: float, in_hidden: float | None
 ) -> None:
-    """A square in front of a wall: beside it lies what the right camera cannot see."""
-    u, v = pixels()
+    """A square in front of a wall: next to it are pixels that the right camera cannot see."""
+    u, v = make_pixel_grid()
     near = (np.abs(u - 180) < 50) & (np.abs(v - 120) < 50)
     near_right = (np.abs(u + 30 - 180) < 50) & (np.abs(v - 120) < 50)
-    left = np.where(near, texture(u + 200, v + 90), texture(u, v)).astype(np.uint8)
-    right = np.where(near_right, texture(u + 30 + 200, v + 90), texture(u + 12, v)).astype(np.uint8)
+    left = np.where(near, sample_noise(u + 200, v + 90), sample_noise(u, v)).astype(np.uint8)
+    right = np.where(near_right, sample_noise(u + 30 + 200, v + 90), sample_noise(u + 12, v)).astype(np.uint8)
     truth = np.where(near, 30, 12)
 
     result = depth(left, right, RIG, disparities=48, **given)
 
     used = result.depth > 0
     hidden = ~near & near_right[:, np.maximum(np.arange(WIDTH) - 12, 0)]
-    assert np.mean(errors(result, truth) > 2) < wrong
+    assert np.mean(measure_errors(result, truth) > 2) < wrong
     if in_hidden is None:
         assert np.mean(np.abs(result.disparity - truth)[hidden & used] < 2) > 0.8
     else:
@@ -131,10 +132,10 @@ def test_a_foreground_does_not_lend_its_depth_to_the_background(
     assert used[~hidden & (u > 16)].mean() > 0.9
 
 
-def test_confidence_orders_pixels_by_how_often_they_are_wrong() -> None:
-    left, right, truth = slanted_pair(6, 0.04, 0.05)
+def test_confidence_orders_pixels_by_error_rate() -> None:
+    left, right, truth = render_slanted_pair(6, 0.04, 0.05)
     rng = np.random.default_rng(1)
-    # Sensor noise that grows from top to bottom until it drowns the texture.
+    # Sensor noise that increases from top to bottom until it dominates the texture.
     noise = np.linspace(0, 120, HEIGHT)[:, None]
     left, right = (
         np.clip(i + rng.normal(0, 1, i.shape) * noise, 0, 255).astype(np.uint8) for i in (left, right)
@@ -151,8 +152,8 @@ def test_confidence_orders_pixels_by_how_often_they_are_wrong() -> None:
     assert (result.confidence[~np.isfinite(result.disparity)] == 0).all()
 
 
-def test_only_confident_depth_is_given_and_more_with_a_lower_bound() -> None:
-    left, right, _ = slanted_pair(8, 0.05, 0.03)
+def test_a_lower_confidence_bound_gives_more_depth() -> None:
+    left, right, _ = render_slanted_pair(8, 0.05, 0.03)
 
     strict, lax = (depth(left, right, RIG, disparities=64, min_confidence=c) for c in (250, 1))
 
@@ -161,8 +162,8 @@ def test_only_confident_depth_is_given_and_more_with_a_lower_bound() -> None:
     assert 0 < np.count_nonzero(strict.depth) < np.count_nonzero(lax.depth)
 
 
-def test_a_pair_alone_is_held_to_more_than_one_among_others() -> None:
-    left, right, _ = slanted_pair(8, 0.05, 0.03)
+def test_single_pairs_have_a_stricter_confidence_bound() -> None:
+    left, right, _ = render_slanted_pair(8, 0.05, 0.03)
     frame = Frame("0", CAMERA, color=left, right=right)
 
     def given(pairs: int, **changes: Any) -> np.ndarray:
@@ -178,8 +179,8 @@ def test_a_pair_alone_is_held_to_more_than_one_among_others() -> None:
     assert np.array_equal(given(3, min_confidence=128, sgbm={"uniqueness": 20}), alone)
 
 
-def test_one_pair_or_two_are_matched_by_our_own_matcher() -> None:
-    left, right, _ = slanted_pair(8, 0.05, 0.03)
+def test_one_or_two_pairs_use_the_census_matcher() -> None:
+    left, right, _ = render_slanted_pair(8, 0.05, 0.03)
     frame = Frame("0", CAMERA, color=left, right=right)
 
     def given(pairs: int, **changes: Any) -> np.ndarray:
@@ -191,7 +192,7 @@ def test_one_pair_or_two_are_matched_by_our_own_matcher() -> None:
 
     for pairs in (1, 2):
         assert same(given(pairs), given(pairs, matcher="census"))
-        # An option of the others asks for them.
+        # An option of the other matchers selects them.
         assert same(given(pairs, sgbm={"p1": 100}), given(pairs, matcher="3way", sgbm={"p1": 100}))
     assert same(given(3), given(3, matcher="3way"))
     # 8,000 × 6,000 px and 100 disparities take 28 GB.
@@ -200,8 +201,8 @@ def test_one_pair_or_two_are_matched_by_our_own_matcher() -> None:
     assert stages.DepthParams(matcher="census").uses_census(9, 28 << 30)
 
 
-def test_range_ends_where_the_expected_error_reaches_its_share() -> None:
-    left, right, truth = slanted_pair(4, 0.1, 0)
+def test_the_depth_range_ends_at_the_expected_error_limit() -> None:
+    left, right, truth = render_slanted_pair(4, 0.1, 0)
 
     result = depth(left, right, RIG, disparities=64, disparity_sigma=0.2, max_relative_depth_error=0.02)
 
@@ -211,8 +212,8 @@ def test_range_ends_where_the_expected_error_reaches_its_share() -> None:
     assert np.mean(result.depth[:, 100:][truth[:, 100:] > 10.5] > 0) > 0.9
 
 
-def test_depth_range_gives_the_disparities_that_are_tried() -> None:
-    left, right, _ = slanted_pair(20, 0, 0)
+def test_the_depth_range_determines_the_disparity_search() -> None:
+    left, right, _ = render_slanted_pair(20, 0, 0)
 
     result = depth(left, right, RIG, min_depth=1.0, max_depth=2.0)
 
@@ -223,19 +224,19 @@ def test_depth_range_gives_the_disparities_that_are_tried() -> None:
     assert np.median(result.depth[result.depth > 0]) == pytest.approx(1.5, rel=0.01)
 
 
-def test_range_is_found_from_the_pair_when_nothing_states_it() -> None:
-    left, right, truth = slanted_pair(20, 0.02, 0)
+def test_the_disparity_range_is_estimated_from_the_pair() -> None:
+    left, right, truth = render_slanted_pair(20, 0.02, 0)
 
     result = depth(left, right, RIG)
 
     assert truth.max() < result.search.end < 60
-    assert np.mean(errors(result, truth) > 1) < 0.002
+    assert np.mean(measure_errors(result, truth) > 1) < 0.002
     stated = depth(left, right, replace(RIG, disparity_count=70))
     assert (stated.search.lowest, stated.search.count) == (0, 80)
 
 
-def test_smoothing_fills_the_picture_and_gives_no_more_depth() -> None:
-    left, right, truth = slanted_pair(14, 0.05, 0.03)
+def test_smoothing_fills_disparity_but_not_depth() -> None:
+    left, right, truth = render_slanted_pair(14, 0.05, 0.03)
     left[100:140, 150:200] = 90
     right[100:140, 120:190] = 90
 
@@ -250,7 +251,7 @@ def test_smoothing_fills_the_picture_and_gives_no_more_depth() -> None:
 
 
 def test_grey_and_colour_give_the_same_depth() -> None:
-    left, right, _ = slanted_pair(8, 0.05, 0)
+    left, right, _ = render_slanted_pair(8, 0.05, 0)
 
     grey = depth(left, right, RIG)
     color = depth(np.dstack([left] * 3), np.dstack([right] * 3), RIG)
@@ -260,11 +261,11 @@ def test_grey_and_colour_give_the_same_depth() -> None:
 
 
 def test_a_very_wide_pair_stays_within_the_fixed_point() -> None:
-    """A quarter of the width is more disparities than int16 sixteenths can hold."""
+    """A quarter of the width is more than int16 can represent in sixteenths."""
     camera = Camera(12000, 32, 9000.0, 9000.0, 5999.5, 15.5)
     image = np.random.default_rng(5).integers(0, 255, (32, 12000), np.uint8)
 
-    result = depth(image, np.roll(image, -40, axis=1), StereoRig(camera, camera, baseline(0.1), True))
+    result = depth(image, np.roll(image, -40, axis=1), StereoRig(camera, camera, make_baseline(0.1), True))
 
     assert np.median(result.disparity[result.depth > 0]) == pytest.approx(40, abs=0.1)
 
@@ -284,13 +285,13 @@ def test_blank_pair_has_no_depth() -> None:
 WORLD_PLANE = (np.array([0.15, -0.1, -1.0]) / np.linalg.norm([0.15, -0.1, -1.0]), -1.8)
 
 
-def see_plane(camera: Camera, world_from_camera: np.ndarray) -> np.ndarray:
-    """Render a textured plane as a distorted camera sees it, ray by ray."""
-    u, v = pixels()
+def render_plane(camera: Camera, world_from_camera: np.ndarray) -> np.ndarray:
+    """Render a textured plane for a camera with distortion, ray by ray."""
+    u, v = make_pixel_grid()
     seen = np.stack([(u.ravel() - camera.cx) / camera.fx, (v.ravel() - camera.cy) / camera.fy])
     k1, k2, p1, p2 = camera.distortion
     ideal = seen
-    for _ in range(50):  # The lens model maps ideal to seen positions; its inverse is a fixed point.
+    for _ in range(50):  # The lens model maps ideal to distorted positions; its inverse is a fixed point.
         x, y = ideal
         r2 = x * x + y * y
         tangential = np.stack(
@@ -302,7 +303,7 @@ def see_plane(camera: Camera, world_from_camera: np.ndarray) -> np.ndarray:
     normal, offset = WORLD_PLANE
     hit = origin + rays * ((offset - normal @ origin) / (rays @ normal))[:, None]
     x, y = (hit[:, axis].reshape(HEIGHT, WIDTH) for axis in (0, 1))
-    return texture(x * 150, y * 150).astype(np.uint8)
+    return sample_noise(x * 150, y * 150).astype(np.uint8)
 
 
 @pytest.fixture(scope="module")
@@ -321,15 +322,15 @@ def unrectified() -> Scan:
             Frame(
                 f"{number}",
                 left,
-                color=np.dstack([see_plane(left, world_from_left)] * 3),
-                right=np.dstack([see_plane(right, world_from_left @ np.linalg.inv(right_from_left))] * 3),
+                color=np.dstack([render_plane(left, world_from_left)] * 3),
+                right=np.dstack([render_plane(right, world_from_left @ np.linalg.inv(right_from_left))] * 3),
                 world_from_camera=world_from_left,
             )
         )
     return Scan("made", frames, StereoRig(left, right, right_from_left, is_rectified=False))
 
 
-def test_rectified_depth_and_pose_put_the_points_on_the_plane(unrectified: Scan) -> None:
+def test_rectified_depth_and_pose_reproduce_the_plane(unrectified: Scan) -> None:
     normal, offset = WORLD_PLANE
     for frame, result in depth_scan(unrectified):
         assert isinstance(result, DepthMap)
@@ -338,13 +339,13 @@ def test_rectified_depth_and_pose_put_the_points_on_the_plane(unrectified: Scan)
         assert frame.camera.distortion == ()
         z = result.depth
         assert np.mean(z > 0) > 0.8
-        u, v = pixels()
+        u, v = make_pixel_grid()
         camera = frame.camera
         points = np.stack([(u - camera.cx) / camera.fx * z, (v - camera.cy) / camera.fy * z, z])[:, z > 0]
         assert frame.world_from_camera is not None
         world = frame.world_from_camera[:3, :3] @ points + frame.world_from_camera[:3, 3:]
         off = normal @ world - offset
-        # A pixel of disparity is 7 cm here: no bias to be seen, and the noise of a seventh of a pixel.
+        # A pixel of disparity is 7 cm here: no visible bias, and a noise of a seventh of a pixel.
         assert abs(np.median(off)) < 0.004
         assert np.median(np.abs(off)) < 0.015
         assert np.mean(np.abs(off) > 0.08) < 0.01
@@ -361,8 +362,8 @@ def test_results_do_not_depend_on_the_number_of_threads(unrectified: Scan) -> No
         assert np.array_equal(first.confidence, second.confidence)
 
 
-def test_a_rig_said_to_be_rectified_that_is_not_is_warned_of() -> None:
-    left, right, _ = slanted_pair(12, 0, 0)
+def test_a_rig_wrongly_marked_as_rectified_gives_a_warning() -> None:
+    left, right, _ = render_slanted_pair(12, 0, 0)
 
     result = depth(left, np.roll(right, 3, axis=0), RIG)
 
@@ -371,11 +372,11 @@ def test_a_rig_said_to_be_rectified_that_is_not_is_warned_of() -> None:
     assert "rows of the pair differ by 3.0 px" in str(diagnostic)
 
 
-# Bad input --------------------------------------------------------------------------------------------
+# Invalid input ----------------------------------------------------------------------------------------
 
 
 def test_swapped_images_are_refused() -> None:
-    left, right, _ = slanted_pair(12, 0.02, 0)
+    left, right, _ = render_slanted_pair(12, 0.02, 0)
 
     with pytest.raises(InputError, match="seem swapped"):
         depth(right, left, RIG)
@@ -384,7 +385,7 @@ def test_swapped_images_are_refused() -> None:
 @pytest.mark.parametrize(
     ("rig", "message"),
     [
-        (replace(RIG, right_from_left=baseline(-0.1)), "right camera is left of the left"),
+        (replace(RIG, right_from_left=make_baseline(-0.1)), "right camera is left of the left"),
         (replace(RIG, right_from_left=np.eye(4)), "give the baseline"),
         (replace(RIG, right=replace(CAMERA, cy=130.0)), "marked as rectified, but cy"),
         (replace(RIG, right=replace(CAMERA, width=640)), "both must have the same size"),
@@ -394,15 +395,15 @@ def test_swapped_images_are_refused() -> None:
         ),
     ],
 )
-def test_rigs_that_cannot_be_are_refused(rig: StereoRig, message: str) -> None:
-    left, right, _ = slanted_pair(8, 0, 0)
+def test_invalid_rigs_are_refused(rig: StereoRig, message: str) -> None:
+    left, right, _ = render_slanted_pair(8, 0, 0)
 
     with pytest.raises(InputError, match=message):
         depth(left, right, rig)
 
 
-def test_cameras_one_above_the_other_are_refused() -> None:
-    left, right, _ = slanted_pair(8, 0, 0)
+def test_vertically_arranged_cameras_are_refused() -> None:
+    left, right, _ = render_slanted_pair(8, 0, 0)
     above = np.eye(4)
     above[1, 3] = -0.1
 
@@ -427,13 +428,13 @@ def test_cameras_one_above_the_other_are_refused() -> None:
         ),
     ],
 )
-def test_images_that_do_not_fit_are_refused(left: Any, right: Any, message: str) -> None:
+def test_inconsistent_images_are_refused(left: Any, right: Any, message: str) -> None:
     with pytest.raises(InputError, match=message):
         depth(left, right, RIG)
 
 
 def test_one_bad_frame_is_skipped_with_its_reason(tmp_path: Path) -> None:
-    left, right, _ = slanted_pair(8, 0.05, 0)
+    left, right, _ = render_slanted_pair(8, 0.05, 0)
     frames = []
     for number in range(4):
         files = tmp_path / f"left{number}.png", tmp_path / f"right{number}.png"
@@ -455,7 +456,7 @@ def test_one_bad_frame_is_skipped_with_its_reason(tmp_path: Path) -> None:
 
 
 def test_a_scan_of_mostly_bad_frames_is_refused(tmp_path: Path) -> None:
-    left, right, _ = slanted_pair(8, 0.05, 0)
+    left, right, _ = render_slanted_pair(8, 0.05, 0)
     good = Frame("good", CAMERA, color=left, right=right)
     missing = Frame("gone", CAMERA, color=tmp_path / "gone.png", right=right)
 
@@ -464,7 +465,7 @@ def test_a_scan_of_mostly_bad_frames_is_refused(tmp_path: Path) -> None:
 
 
 def test_swapped_folders_are_refused_at_the_first_pair(tmp_path: Path) -> None:
-    left, right, _ = slanted_pair(12, 0.02, 0)
+    left, right, _ = render_slanted_pair(12, 0.02, 0)
 
     with pytest.raises(InputError, match=f"{tmp_path.name}.*seem swapped"):
         next(depth_scan(Scan("made", [Frame("0", CAMERA, color=right, right=left)] * 3, RIG, tmp_path)))
@@ -488,7 +489,7 @@ def test_rgbd_scan_has_no_pairs() -> None:
     ],
 )
 def test_wrong_parameters_are_refused(changes: dict[str, Any], message: str) -> None:
-    left, right, _ = slanted_pair(8, 0, 0)
+    left, right, _ = render_slanted_pair(8, 0, 0)
 
     with pytest.raises(UsageError, match=message):
         depth(left, right, RIG, **changes)

@@ -1,4 +1,4 @@
-"""Depth of real pairs with ground truth."""
+"""Depth of real stereo pairs with ground truth."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ def read_pfm(path: Path) -> np.ndarray:
         return np.flipud(np.frombuffer(file.read(), order).reshape(height, width))
 
 
-def visible(truth: np.ndarray) -> np.ndarray:
-    """Pixels whose true match in the right image is not hidden by a nearer one."""
+def mask_visible(truth: np.ndarray) -> np.ndarray:
+    """Mask the pixels whose true match in the right image is not occluded."""
     height, width = truth.shape
     rows, columns = np.nonzero(np.isfinite(truth))
     disparity = truth[rows, columns]
@@ -37,8 +37,8 @@ def visible(truth: np.ndarray) -> np.ndarray:
     return seen
 
 
-def require(result: DepthMap, truth: np.ndarray, *, wrong: float, covered: float) -> None:
-    used, seen = result.depth > 0, visible(truth)
+def assert_accuracy(result: DepthMap, truth: np.ndarray, *, wrong: float, covered: float) -> None:
+    used, seen = result.depth > 0, mask_visible(truth)
     judged = used & np.isfinite(truth)
     assert np.mean(np.abs(result.disparity - truth)[judged] > 2) <= wrong
     assert np.mean(used[seen]) >= covered
@@ -55,7 +55,7 @@ def test_motorcycle(shared_data: Path) -> None:
     assert isinstance(result, DepthMap)
     assert result.diagnostics == ()
     truth = read_pfm(folder / "disp0.pfm")
-    require(result, truth, wrong=0.02, covered=0.85)
+    assert_accuracy(result, truth, wrong=0.02, covered=0.85)
     # f 994.978 px, baseline 193.001 mm, doffs 31.086 px.
     z = 994.978 * 0.193001 / (truth + 31.086)
     used = (result.depth > 0) & np.isfinite(truth)
@@ -63,13 +63,13 @@ def test_motorcycle(shared_data: Path) -> None:
 
 
 def test_cones(shared_data: Path) -> None:
-    """The same matcher on another pair, whose calibration is made up."""
-    result, truth = cones(shared_data, matcher="3way")
-    require(result, truth, wrong=0.01, covered=0.85)
+    """The same matcher on another pair, with invented calibration."""
+    result, truth = compute_cones_depth(shared_data, matcher="3way")
+    assert_accuracy(result, truth, wrong=0.01, covered=0.85)
 
 
-def cones(shared_data: Path, **changes: Any) -> tuple[DepthMap, np.ndarray]:
-    """Measure the pair, and return its true disparity, too."""
+def compute_cones_depth(shared_data: Path, **changes: Any) -> tuple[DepthMap, np.ndarray]:
+    """Compute depth of the pair; return its true disparity as well."""
     import cv2
 
     folder = shared_data / "stereo/middlebury2003_cones"
@@ -87,20 +87,20 @@ def cones(shared_data: Path, **changes: Any) -> tuple[DepthMap, np.ndarray]:
     return result, truth
 
 
-def test_a_pair_alone_covers_what_both_images_show(shared_data: Path) -> None:
-    """By our own matcher: of what both cameras see nearly all, and few of it wrong."""
+def test_a_single_pair_covers_pixels_visible_in_both_images(shared_data: Path) -> None:
+    """The own matcher covers nearly all pixels that both cameras see, with few errors."""
     folder = shared_data / "stereo/middlebury2014_motorcycle"
     (_, motorcycle), *_ = depth_scan(read_scan(folder))
     assert isinstance(motorcycle, DepthMap)
-    for result, truth in ((motorcycle, read_pfm(folder / "disp0.pfm")), cones(shared_data)):
-        seen = visible(truth)
+    for result, truth in ((motorcycle, read_pfm(folder / "disp0.pfm")), compute_cones_depth(shared_data)):
+        seen = mask_visible(truth)
         given = result.depth > 0
         assert np.mean(given[seen]) > 0.95
         assert np.mean(np.abs(result.disparity - truth)[given & seen] > 2) < 0.0165
 
 
 def test_pairs_of_a_street_are_covered(shared_data: Path) -> None:
-    """KITTI 2015, against lidar: the ground truth is given out, few of it more than 3 px off."""
+    """KITTI 2015 with lidar ground truth: most of it is covered, with few errors above 3 px."""
     import cv2
 
     folder = shared_data / "real/kitti_stereo_2015"
@@ -116,8 +116,8 @@ def test_pairs_of_a_street_are_covered(shared_data: Path) -> None:
     assert np.mean(wrong) < 0.03
 
 
-def test_street_agrees_with_itself_from_frame_to_frame(shared_data: Path) -> None:
-    """Depth of one frame, moved by the given poses into the next, is what is measured there."""
+def test_depth_of_a_street_is_consistent_between_frames(shared_data: Path) -> None:
+    """Depth of one frame, transformed by the given poses, agrees with the depth of the next frame."""
     scan = read_scan(shared_data / "stereo/kitti_sequence_1")
     pairs = [scan.frames[i] for i in (8, 9)]
     (here, near), (there, far) = depth_scan(type(scan)(scan.layout, pairs, scan.rig), matcher="3way")
@@ -144,11 +144,11 @@ def test_street_agrees_with_itself_from_frame_to_frame(shared_data: Path) -> Non
     assert len(difference) > 80_000
     assert np.median(difference) < 0.4
     assert np.mean(difference > 1) < 0.08
-    # The road: its lower middle part is nearly closed in one frame already.
+    # The road: its lower middle part is nearly complete in a single frame.
     assert np.mean(near.depth[280:360, 450:750] > 0) > 0.85
 
 
-def test_unrectified_room_has_common_rows_once_turned(shared_data: Path) -> None:
+def test_an_unrectified_room_is_rectified(shared_data: Path) -> None:
     scan = read_scan(shared_data / "stereo/euroc_V1_01_easy_static")
     assert scan.rig is not None
     assert not scan.rig.is_rectified
@@ -158,7 +158,7 @@ def test_unrectified_room_has_common_rows_once_turned(shared_data: Path) -> None
     assert result.diagnostics == ()
     assert frame.camera.distortion == ()
     assert np.mean(result.depth > 0) > 0.65
-    # The floor in front of the rig: one plane, to the noise of a quarter of a pixel at 2 m.
+    # The floor in front of the rig is a plane, with a noise of a quarter of a pixel at 2 m.
     part = result.disparity[300:420, 150:350]
     rows, columns = np.nonzero(result.depth[300:420, 150:350])
     plane = np.column_stack([rows, columns, np.ones(len(rows))])

@@ -1,4 +1,4 @@
-"""Our semi-global matcher: against a plain one written from the equations, on made and on real pairs."""
+"""The semi-global matcher: comparison with a reference implementation, synthetic and real pairs."""
 
 from __future__ import annotations
 
@@ -13,49 +13,49 @@ from hypothesis import strategies as st
 
 from scanloom import Camera, InputError, StereoRig, UsageError, depth, stages, stereo_disparity
 from scanloom.stages import _kernels as kernels
-from tests.stages.stereo.test_depth_real import visible
+from tests.stages.stereo.test_depth_real import mask_visible
 
 SMALL, LARGE, EDGE = 24, 300.0, 30.0
 
 
-def rgb(path: Path) -> np.ndarray:
+def read_rgb(path: Path) -> np.ndarray:
     image = cv2.imread(str(path))
     assert image is not None
     return image[..., ::-1].copy()
 
 
-def pattern(height: int, width: int, seed: int = 0) -> np.ndarray:
+def make_pattern(height: int, width: int, seed: int = 0) -> np.ndarray:
     rng = np.random.default_rng(seed)
     coarse = rng.integers(0, 256, (height // 3 + 1, width // 3 + 1, 3), np.uint8)
     return cv2.resize(coarse, (width, height), interpolation=cv2.INTER_CUBIC)
 
 
-def shifted_pair(disparity: np.ndarray, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
-    """A right image of noise, and the left one that sees it at these disparities."""
+def make_shifted_pair(disparity: np.ndarray, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    """Make a right image of noise, and the left image for given disparities."""
     height, width = disparity.shape
-    right = pattern(height, width, seed)
+    right = make_pattern(height, width, seed)
     columns = np.arange(width, dtype=np.float32) - disparity.astype(np.float32)
     rows = np.repeat(np.arange(height, dtype=np.float32)[:, None], width, axis=1)
     left = cv2.remap(right, columns, rows, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     return left, right
 
 
-def matched(left: np.ndarray, right: np.ndarray, threads: int = 1, **search: int) -> Any:
+def match_pair(left: np.ndarray, right: np.ndarray, threads: int = 1, **search: int) -> Any:
     return kernels.match_pair(left, right, wanted_threads=threads, **{"lowest": 0, "count": 16} | search)
 
 
-# What the kernel does, pixel by pixel and in whole numbers, from the equations.
+# Reference implementation of the kernel in integers, pixel by pixel.
 
 
-def grey_of(image: np.ndarray) -> np.ndarray:
+def to_grey(image: np.ndarray) -> np.ndarray:
     return (image.astype(np.int64) @ (77, 150, 29) + 128) >> 8
 
 
-def plain_costs(left: np.ndarray, right: np.ndarray, lowest: int, count: int) -> np.ndarray:
+def compute_reference_costs(left: np.ndarray, right: np.ndarray, lowest: int, count: int) -> np.ndarray:
     height, width = left.shape[:2]
 
     def described(image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        grey = grey_of(image)
+        grey = to_grey(image)
         padded = np.pad(grey, ((2, 2), (3, 3)), mode="edge")
         bits = np.stack(
             [
@@ -89,7 +89,7 @@ def plain_costs(left: np.ndarray, right: np.ndarray, lowest: int, count: int) ->
     return costs
 
 
-def plain_average(image: np.ndarray, costs: np.ndarray) -> np.ndarray:
+def compute_reference_average(image: np.ndarray, costs: np.ndarray) -> np.ndarray:
     height, width = image.shape[:2]
     levels = image.astype(int)
 
@@ -120,9 +120,9 @@ def plain_average(image: np.ndarray, costs: np.ndarray) -> np.ndarray:
     return costs
 
 
-def plain_sums(image: np.ndarray, costs: np.ndarray) -> np.ndarray:
+def compute_reference_sums(image: np.ndarray, costs: np.ndarray) -> np.ndarray:
     height, width, _ = costs.shape
-    grey = grey_of(image)
+    grey = to_grey(image)
     sums = np.zeros_like(costs)
     for dy, dx in ((0, 1), (0, -1), (1, -1), (1, 0), (1, 1), (-1, -1), (-1, 0), (-1, 1)):
         reached = np.zeros_like(costs)
@@ -144,12 +144,12 @@ def plain_sums(image: np.ndarray, costs: np.ndarray) -> np.ndarray:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(("height", "width", "lowest"), [(9, 30, 0), (12, 21, -5), (5, 9, 3)])
-def test_it_does_what_the_equations_say(height: int, width: int, lowest: int) -> None:
+def test_the_kernel_agrees_with_the_reference(height: int, width: int, lowest: int) -> None:
     rng = np.random.default_rng(height)
-    left, right = shifted_pair(rng.integers(0, 6, (height, width)))
-    costs = plain_average(left, plain_costs(left, right, lowest, 16))
-    sums = plain_sums(left, costs)
-    disparity, of_right, least, margin, cost = matched(left, right, lowest=lowest)
+    left, right = make_shifted_pair(rng.integers(0, 6, (height, width)))
+    costs = compute_reference_average(left, compute_reference_costs(left, right, lowest, 16))
+    sums = compute_reference_sums(left, costs)
+    disparity, of_right, least, margin, cost = match_pair(left, right, lowest=lowest)
     best = sums.argmin(axis=2)
     np.testing.assert_array_equal(np.rint(np.abs(disparity - best - lowest) - 1e-6), 0)
     np.testing.assert_array_equal(least, sums.min(axis=2))
@@ -169,13 +169,13 @@ def test_it_does_what_the_equations_say(height: int, width: int, lowest: int) ->
 @given(
     st.integers(1, 24), st.integers(1, 40), st.integers(-20, 20), st.integers(1, 3), st.integers(0, 2**32 - 1)
 )
-def test_threads_change_no_bit_and_all_sizes_are_taken(
+def test_results_do_not_depend_on_threads_for_any_size(
     height: int, width: int, lowest: int, steps: int, seed: int
 ) -> None:
     rng = np.random.default_rng(seed)
     pair = rng.integers(0, 256, (2, height, width, 3), np.uint8)
-    one = matched(*pair, lowest=lowest, count=16 * steps)
-    for other in (matched(*pair, threads=t, lowest=lowest, count=16 * steps) for t in (2, 5)):
+    one = match_pair(*pair, lowest=lowest, count=16 * steps)
+    for other in (match_pair(*pair, threads=t, lowest=lowest, count=16 * steps) for t in (2, 5)):
         for a, b in zip(one, other, strict=True):
             np.testing.assert_array_equal(a, b)
 
@@ -185,7 +185,7 @@ def test_a_slanted_plane_and_a_step_are_found(channels: int) -> None:
     height, width = 80, 160
     truth = np.tile(np.linspace(4, 12, width), (height, 1))
     truth[20:60, 60:110] = 20
-    pair = shifted_pair(truth, 1)
+    pair = make_shifted_pair(truth, 1)
     if channels == 1:
         pair = tuple(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY) for image in pair)  # type: ignore[assignment]
     found = stereo_disparity(*pair, 31)
@@ -198,17 +198,17 @@ def test_a_slanted_plane_and_a_step_are_found(channels: int) -> None:
     np.testing.assert_array_equal(sure, found.confidence >= 0.8)
 
 
-def test_less_is_given_the_surer_it_has_to_be() -> None:
-    pair = shifted_pair(np.tile(np.linspace(2, 14, 120), (60, 1)), 2)
+def test_a_higher_confidence_bound_gives_less_disparity() -> None:
+    pair = make_shifted_pair(np.tile(np.linspace(2, 14, 120), (60, 1)), 2)
     everything, some, few = (stereo_disparity(*pair, 15, min_confidence=c) for c in (0, 0.8, 0.97))
     assert np.isfinite(everything.disparity).all()
     assert np.isfinite(some.disparity).sum() > np.isfinite(few.disparity).sum() > 0
     np.testing.assert_array_equal(everything.confidence, few.confidence)
 
 
-def test_disparities_may_be_below_zero_and_stay_in_the_range_asked_for() -> None:
+def test_negative_disparities_stay_in_the_requested_range() -> None:
     truth = np.full((40, 90), -3.0)
-    found = stereo_disparity(*shifted_pair(truth, 3), 1, min_disparity=-8)
+    found = stereo_disparity(*make_shifted_pair(truth, 3), 1, min_disparity=-8)
     inner = found.disparity[5:-5, 15:-15]
     assert np.nanmedian(inner) == pytest.approx(-3, abs=0.1)
     assert np.nanmax(found.disparity) <= 1.5
@@ -227,7 +227,7 @@ def test_disparities_may_be_below_zero_and_stay_in_the_range_asked_for() -> None
         ({"min_confidence": 1.5}, UsageError, "min_confidence is 1.5; it must be from 0 to 1"),
     ],
 )
-def test_what_is_no_pair_is_refused(change: dict[str, Any], error: type[Exception], said: str) -> None:
+def test_invalid_pairs_are_refused(change: dict[str, Any], error: type[Exception], said: str) -> None:
     given = {
         "left": np.zeros((4, 5, 3), np.uint8),
         "right": np.zeros((4, 5, 3), np.uint8),
@@ -237,16 +237,16 @@ def test_what_is_no_pair_is_refused(change: dict[str, Any], error: type[Exceptio
         stereo_disparity(**given | change)
 
 
-def middlebury(shared_data: Path, name: str) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
+def read_middlebury(shared_data: Path, name: str) -> tuple[np.ndarray, np.ndarray, np.ndarray, int]:
     if name == "Motorcycle":
         folder = shared_data / "stereo" / "middlebury2014_motorcycle"
         truth = cv2.imread(str(folder / "disp0.pfm"), cv2.IMREAD_UNCHANGED)
-        images = [rgb(folder / file) for file in ("im0.png", "im1.png")]
+        images = [read_rgb(folder / file) for file in ("im0.png", "im1.png")]
         return images[0], images[1], truth, 69
     folder = shared_data / "stereo" / "middlebury2003_cones"
     truth = cv2.imread(str(folder / "disp2.pgm"), cv2.IMREAD_UNCHANGED) / 4.0
     truth[truth == 0] = np.inf
-    images = [rgb(next(folder.glob(f"{file}.*"))) for file in ("im2", "im6")]
+    images = [read_rgb(next(folder.glob(f"{file}.*"))) for file in ("im2", "im6")]
     return images[0], images[1], truth, 63
 
 
@@ -256,15 +256,15 @@ def middlebury(shared_data: Path, name: str) -> tuple[np.ndarray, np.ndarray, np
     [("Motorcycle", 0.95, 0.0152, 0.028), ("Cones", 0.95, 0.0155, 0.026)],
 )
 def test_real_pairs(shared_data: Path, name: str, covered: float, wrong: float, all_wrong: float) -> None:
-    left, right, truth, most = middlebury(shared_data, name)
-    seen = visible(truth)
+    left, right, truth, most = read_middlebury(shared_data, name)
+    seen = mask_visible(truth)
     found = stereo_disparity(left, right, most, min_confidence=0)
     off = np.abs(found.disparity - np.where(seen, truth, 0)) > 2
     sure = found.confidence >= 0.8
     assert (off & seen).sum() <= all_wrong * seen.sum()
     assert (sure & seen).sum() >= covered * seen.sum()
     assert (off & sure & seen).sum() <= wrong * seen.sum()
-    # What is called so sure is right that often, within a few parts of a hundred.
+    # Confidence values are calibrated within a few percent.
     known = np.isfinite(truth)
     off = np.abs(found.disparity - np.where(known, truth, 0)) > 2
     for low, high in ((0.2, 0.5), (0.5, 0.8), (0.8, 0.95), (0.95, 1)):
@@ -278,7 +278,7 @@ def test_streets(shared_data: Path) -> None:
     covered, wrong = [], []
     for path in sorted((folder / "image_2").glob("*_10.png")):
         truth = cv2.imread(str(folder / "disp_occ_0" / path.name), cv2.IMREAD_UNCHANGED) / 256.0
-        pair = [rgb(folder / side / path.name) for side in ("image_2", "image_3")]
+        pair = [read_rgb(folder / side / path.name) for side in ("image_2", "image_3")]
         found = stereo_disparity(pair[0], pair[1], 127)
         given = (truth > 0) & np.isfinite(found.disparity)
         covered.append(given.sum() / (truth > 0).sum())
@@ -287,27 +287,29 @@ def test_streets(shared_data: Path) -> None:
     assert np.mean(wrong) <= 0.03
 
 
-def rig_of(width: int, height: int) -> StereoRig:
+def make_rig(width: int, height: int) -> StereoRig:
     camera = Camera(width, height, 100.0, 100.0, width / 2, height / 2)
     right_from_left = np.eye(4)
     right_from_left[0, 3] = -0.1
     return StereoRig(camera, camera, right_from_left, is_rectified=True)
 
 
-def test_the_stage_takes_it() -> None:
+def test_the_stage_accepts_the_matcher() -> None:
     truth = np.tile(np.linspace(4, 12, 160), (80, 1))
-    left, right = shifted_pair(truth, 4)
-    found = depth(left, right, rig_of(160, 80), matcher="census", disparities=32, max_relative_depth_error=1)
+    left, right = make_shifted_pair(truth, 4)
+    found = depth(
+        left, right, make_rig(160, 80), matcher="census", disparities=32, max_relative_depth_error=1
+    )
     measured = found.depth > 0
     assert measured[:, 20:].mean() > 0.95
     off = np.abs(found.depth * truth / (100 * 0.1) - 1)[measured]
     assert np.median(off) < 0.02
     np.testing.assert_array_equal(measured, found.confidence >= 204)
-    fewer = depth(left, right, rig_of(160, 80), matcher="census", disparities=32, min_confidence=252)
+    fewer = depth(left, right, make_rig(160, 80), matcher="census", disparities=32, min_confidence=252)
     assert (fewer.depth > 0).sum() < measured.sum()
 
 
-def test_what_it_does_not_know_is_refused() -> None:
+def test_unsupported_options_are_refused() -> None:
     with pytest.raises(UsageError, match=r"sgbm\.p1 has no effect with matcher census; omit"):
         stages.DepthParams(matcher="census", sgbm=stages.SgbmParams(smooth=True, p1=5))
     with pytest.raises(UsageError, match="speckle_size has no effect with matcher census; omit"):

@@ -1,4 +1,4 @@
-"""Depth by a network of one's own: held to the same gate, and filled in only where nothing was measured."""
+"""Depth by a user's network: it passes the same consistency check, and only fills missing depth."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -31,19 +31,23 @@ CAMERA = Camera(256, 160, 200.0, 200.0, 127.5, 79.5)
 RIG = StereoRig(CAMERA, CAMERA, np.array([[1, 0, 0, -0.1], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1.0]]), True)
 
 
-def beside(file: Path, sidecar: Sidecar) -> str:
+def write_sidecar(file: Path, sidecar: Sidecar) -> str:
     get_sidecar_path(file).write_text(format_sidecar(sidecar), encoding="utf-8")
     return str(file)
 
 
 @pytest.fixture(scope="module")
 def matcher(tmp_path_factory) -> str:
-    return beside(onnx_networks.write_stereo_network(tmp_path_factory.mktemp("made") / "net.onnx"), PAIR)
+    return write_sidecar(
+        onnx_networks.write_stereo_network(tmp_path_factory.mktemp("made") / "net.onnx"), PAIR
+    )
 
 
 @pytest.fixture(scope="module")
 def by_brightness(tmp_path_factory) -> str:
-    return beside(onnx_networks.write_brightness_network(tmp_path_factory.mktemp("made") / "one.onnx"), ONE)
+    return write_sidecar(
+        onnx_networks.write_brightness_network(tmp_path_factory.mktemp("made") / "one.onnx"), ONE
+    )
 
 
 def test_a_networks_depth_is_true(matcher):
@@ -53,13 +57,13 @@ def test_a_networks_depth_is_true(matcher):
     assert np.mean(np.abs(found.disparity[there] - TRUTH[there]) > 1) < 0.02
     np.testing.assert_allclose(found.depth[there], 20 / found.disparity[there], rtol=1e-5)
     assert found.diagnostics == ()
-    # What the right image does not show is behind the rectangle's left side.
+    # Pixels occluded in the right image are behind the left side of the rectangle.
     rows, columns = np.nonzero(~np.isfinite(TRUTH[40:120, 70:]))
     assert np.mean(found.depth[rows + 40, columns + 70] > 0) < 0.2
 
 
-def test_what_left_and_right_do_not_agree_on_is_no_depth(tmp_path):
-    # One that says of each pixel what its left image alone looks like, whatever the right one shows.
+def test_inconsistent_left_and_right_disparity_gives_no_depth(tmp_path):
+    # A network whose output only depends on the left image.
     weights = {"of": np.full((1, 3, 1, 1), 0.05, np.float32)}
     nodes = [
         helper.make_node("Conv", ["left", "of"], ["disparity"]),
@@ -68,13 +72,13 @@ def test_what_left_and_right_do_not_agree_on_is_no_depth(tmp_path):
     inputs = [(name, [1, 3, "h", "w"]) for name in ("left", "right")]
     outputs = [("disparity", None), ("unused", None)]
     file = onnx_networks.save_network(tmp_path / "net.onnx", nodes, inputs, outputs, weights)
-    found = depth(LEFT, RIGHT, RIG, model=beside(file, PAIR), max_relative_depth_error=1.0)
+    found = depth(LEFT, RIGHT, RIG, model=write_sidecar(file, PAIR), max_relative_depth_error=1.0)
     assert np.mean(found.depth > 0) < 0.05
 
 
-def test_a_wrong_sign_is_said(tmp_path):
+def test_a_wrong_sign_is_reported(tmp_path):
     file = onnx_networks.write_stereo_network(tmp_path / "net.onnx", scale=-1.0)
-    found = depth(LEFT, RIGHT, RIG, model=beside(file, PAIR))
+    found = depth(LEFT, RIGHT, RIG, model=write_sidecar(file, PAIR))
     assert not found.depth.any()
     (diagnostic,) = found.diagnostics
     assert diagnostic.code == DEPTH_NETWORK_SIDECAR_INVALID.name
@@ -84,7 +88,7 @@ def test_a_wrong_sign_is_said(tmp_path):
     )
 
 
-def test_a_scans_pairs_are_the_same_on_any_number_of_threads(matcher):
+def test_results_do_not_depend_on_the_number_of_threads(matcher):
     frames = [Frame(str(k), CAMERA, color=LEFT, right=RIGHT) for k in range(3)]
     runs = [
         [found.depth for _, found in depth_scan(Scan("made", frames, RIG), model=matcher, threads=threads)]
@@ -93,34 +97,34 @@ def test_a_scans_pairs_are_the_same_on_any_number_of_threads(matcher):
     assert all(np.array_equal(one, other) for one, other in zip(*runs, strict=True))
 
 
-def test_what_only_matchers_know_is_refused_beside_a_network(matcher):
+def test_matcher_options_are_refused_with_a_network(matcher):
     with pytest.raises(UsageError, match=r"sgbm\.block_size has no effect with a stereo network"):
         depth(LEFT, RIGHT, RIG, model=matcher, sgbm={"block_size": 5, "uniqueness": 3})
 
 
-def made_map(depth_map: np.ndarray, color: np.ndarray) -> DepthMap:
+def make_depth_map(depth_map: np.ndarray, color: np.ndarray) -> DepthMap:
     trust = np.where(depth_map > 0, np.uint8(200), np.uint8(0))
     nothing = np.full(depth_map.shape, np.nan, np.float32)
     search = SearchRange(0, 0)
     return DepthMap(depth_map, trust, nothing, color, CAMERA, np.eye(3), search, 0.1, 10.0)
 
 
-def brightness_scene() -> tuple[np.ndarray, np.ndarray]:
-    """Depth, and an image whose brightness is linear in inverse depth, as exactly as bytes can be."""
+def make_brightness_scene() -> tuple[np.ndarray, np.ndarray]:
+    """Make depth, and an image whose brightness is linear in inverse depth within 8 bits."""
     random = np.random.default_rng(2)
     grey = random.integers(20, 230, (160, 256)).astype(np.uint8)
     return (1 / (0.2 + grey / 255.0)).astype(np.float32), np.repeat(grey[..., None], 3, axis=2)
 
 
-def test_one_image_fills_in_what_was_not_measured(by_brightness):
-    truth, color = brightness_scene()
+def test_a_monocular_network_fills_missing_depth(by_brightness):
+    truth, color = make_brightness_scene()
     measured = truth.copy()
     measured[:, 100:180] = 0
-    # A third of what was measured is wrong.
+    # A third of the measured depth is wrong.
     wrong = np.random.default_rng(3).random(truth.shape) < 0.33
     measured[wrong & (measured > 0)] *= 3
     params = DepthParams(model=by_brightness)
-    found = fill_missing_depth(made_map(measured, color), load_network(params), params)
+    found = fill_missing_depth(make_depth_map(measured, color), load_network(params), params)
     np.testing.assert_array_equal(found.depth[measured > 0], measured[measured > 0])
     filled = found.filled
     assert not filled[measured > 0].any()
@@ -130,16 +134,16 @@ def test_one_image_fills_in_what_was_not_measured(by_brightness):
     assert found.to_dict()["filled_ratio"] == filled.mean()
 
 
-def test_nothing_is_filled_in_beyond_what_was_measured(by_brightness):
-    truth, color = brightness_scene()
+def test_nothing_is_filled_beyond_the_measured_range(by_brightness):
+    truth, color = make_brightness_scene()
     measured = np.where(truth < 1.5, truth, np.float32(0))
     params = DepthParams(model=by_brightness)
-    found = fill_missing_depth(made_map(measured, color), load_network(params), params)
+    found = fill_missing_depth(make_depth_map(measured, color), load_network(params), params)
     assert found.depth.max() <= 1.51
 
 
-def test_what_the_mirrored_image_contradicts_is_not_filled_in(tmp_path):
-    # Brightness, and more of it towards the right, as no depth of the scene is.
+def test_depth_contradicted_by_the_mirrored_image_is_not_filled(tmp_path):
+    # Brightness plus a ramp towards the right, which does not exist in the scene.
     ramp = np.linspace(0, 3, 256, dtype=np.float32).reshape(1, 1, 1, -1)
     nodes = [
         helper.make_node("ReduceMean", ["image"], ["mean"], axes=[1]),
@@ -149,16 +153,16 @@ def test_what_the_mirrored_image_contradicts_is_not_filled_in(tmp_path):
     file = onnx_networks.save_network(
         tmp_path / "net.onnx", nodes, [("image", shape)], [("depth", None)], {"ramp": ramp}
     )
-    truth, color = brightness_scene()
-    # Measured in the middle, where both say the same.
+    truth, color = make_brightness_scene()
+    # Measured in the middle, where both agree.
     measured = np.where(np.abs(np.arange(256) - 127.5) < 20, truth, np.float32(0))
-    params = DepthParams(model=beside(file, ONE), model_error=0.05)
-    found = fill_missing_depth(made_map(measured, color), load_network(params), params)
+    params = DepthParams(model=write_sidecar(file, ONE), model_error=0.05)
+    found = fill_missing_depth(make_depth_map(measured, color), load_network(params), params)
     assert found.filled[:, :80].mean() < 0.02
 
 
-def test_what_does_not_fit_is_not_used_and_said(by_brightness):
-    truth, color = brightness_scene()
+def test_a_poor_fit_is_rejected_and_reported(by_brightness):
+    truth, color = make_brightness_scene()
     params = DepthParams(model=by_brightness)
     network = load_network(params)
     for depth_map, why in (
@@ -166,7 +170,7 @@ def test_what_does_not_fit_is_not_used_and_said(by_brightness):
         (truth[:, ::-1].copy(), "model_error"),
         ((3 - 0.5 * truth).astype(np.float32), "order is inverted"),
     ):
-        measured = made_map(np.where(np.arange(256) % 9 == 0, np.float32(0), depth_map), color)
+        measured = make_depth_map(np.where(np.arange(256) % 9 == 0, np.float32(0), depth_map), color)
         with collecting() as diagnostics:
             found = fill_missing_depth(measured, network, params)
         np.testing.assert_array_equal(found.depth, measured.depth)
@@ -176,8 +180,8 @@ def test_what_does_not_fit_is_not_used_and_said(by_brightness):
         assert why in str(diagnostic)
 
 
-def test_depth_of_a_sensor_is_filled_in_and_keeps_its_photos(by_brightness):
-    truth, color = brightness_scene()
+def test_sensor_depth_is_filled_and_photos_are_kept(by_brightness):
+    truth, color = make_brightness_scene()
     measured = truth.copy()
     measured[50:90] = 0
     mask = np.full(truth.shape, 255, np.uint8)
@@ -192,8 +196,8 @@ def test_depth_of_a_sensor_is_filled_in_and_keeps_its_photos(by_brightness):
     np.testing.assert_allclose(found.depth[found.filled], truth[found.filled], rtol=0.01)
 
 
-def test_a_network_of_pairs_fills_in_nothing(matcher):
-    truth, color = brightness_scene()
+def test_a_stereo_network_fills_nothing(matcher):
+    truth, color = make_brightness_scene()
     scan = Scan("made", [Frame("a", CAMERA, color=color, depth=truth)])
     with pytest.raises(UsageError, match="is a stereo network"):
         next(completed_scan(scan, model=matcher))
@@ -216,7 +220,7 @@ def test_a_matcher_of_twelve_nodes_on_a_real_pair(tmp_path, shared_data):
     left, right = (cv2.imread(str(folder / f"im{k}.png"))[..., ::-1].copy() for k in (0, 1))
     truth = cv2.imread(str(folder / "disp0.pfm"), cv2.IMREAD_UNCHANGED)
     file = onnx_networks.write_stereo_network(tmp_path / "net.onnx", disparities=80, window=9, sharpness=4.0)
-    found = depth(left, right, rig, model=beside(file, PAIR))
+    found = depth(left, right, rig, model=write_sidecar(file, PAIR))
     there = (found.depth > 0) & np.isfinite(truth)
     assert there.mean() > 0.35
     assert np.mean(np.abs(found.disparity[there] - truth[there]) > 2) < 0.04

@@ -1,4 +1,4 @@
-"""A pale thing before a backdrop, a thing that is masked, and what is said where depth covers little."""
+"""A pale object in front of a backdrop, masked objects, and reports of low depth coverage."""
 
 from __future__ import annotations
 
@@ -27,22 +27,22 @@ def pale() -> tuple[Scan, list[np.ndarray]]:
     return pale_object.make_pale_scan(views=9)
 
 
-def coverage_reported(counts: CoverageCounts, **changes: str) -> list[str]:
+def collect_coverage_reports(counts: CoverageCounts, **changes: str) -> list[str]:
     with collecting() as diagnostics:
         report_coverage(counts, DepthParams(**changes))
     return list(map(str, diagnostics))
 
 
-def measured(scan: Scan, **changes: float) -> list[tuple[Frame, DepthMap]]:
+def compute_depth(scan: Scan, **changes: float) -> list[tuple[Frame, DepthMap]]:
     results = list(views_depth(scan, **changes))
     assert all(isinstance(result, DepthMap) for _, result in results)
     return results
 
 
-def test_a_pale_thing_before_black_keeps_its_depth(pale: tuple[Scan, list[np.ndarray]]) -> None:
-    """Its texture spreads by two grey levels: the want of texture alone would take most of it."""
+def test_a_pale_object_on_black_keeps_its_depth(pale: tuple[Scan, list[np.ndarray]]) -> None:
+    """A texture threshold alone would remove most of the object, whose texture has two grey levels."""
     scan, truths = pale
-    results = measured(scan)
+    results = compute_depth(scan)
     for (_, result), true in list(zip(results, truths, strict=True))[2:-2]:
         assert np.mean(result.depth[true > 0] > 0) > 0.8
         assert np.mean(result.depth[true == 0] > 0) < 0.002
@@ -51,7 +51,7 @@ def test_a_pale_thing_before_black_keeps_its_depth(pale: tuple[Scan, list[np.nda
         assert not result.diagnostics
 
 
-def test_a_backdrop_is_told_from_a_room_and_from_what_stands_before_it(
+def test_a_backdrop_is_distinguished_from_a_room_and_from_the_object(
     pale: tuple[Scan, list[np.ndarray]],
 ) -> None:
     scan, truths = pale
@@ -60,19 +60,19 @@ def test_a_backdrop_is_told_from_a_room_and_from_what_stands_before_it(
     found = detect_backdrop(images, whole)
     assert found is not None
     for image, true in zip(images, truths, strict=True):
-        # Where the thing ends a pixel is of both.
+        # Pixels on the outline are mixed.
         assert np.mean(segment_foreground(image, found, 3.0) != (true > 0)) < 0.002
     draw = np.random.default_rng(3)
     whole = [np.ones((90, 120), bool)] * 4
     rooms = [draw.integers(0, 255, (90, 120, 3), np.uint8) for _ in range(4)]
     assert detect_backdrop(rooms, whole) is None
-    # Walls of another colour in each view.
+    # Walls of a different colour in each view.
     assert detect_backdrop([np.full((90, 120, 3), 60 * at, np.uint8) for at in range(4)], whole) is None
     assert detect_backdrop([], []) is None
 
 
-def test_black_around_an_image_without_distortion_is_no_backdrop() -> None:
-    """A fox in a room was taken for a thing before black, its dark parts for the backdrop."""
+def test_black_borders_of_undistorted_images_are_not_a_backdrop() -> None:
+    """A fox in a room was once taken for an object on black, and its dark parts for the backdrop."""
     draw = np.random.default_rng(3)
     seen = np.zeros((90, 120), bool)
     seen[8:-8, 8:-8] = True
@@ -81,15 +81,15 @@ def test_black_around_an_image_without_distortion_is_no_backdrop() -> None:
     assert detect_backdrop(rooms, [np.ones_like(seen)] * 4) is not None
 
 
-def masked(scan: Scan, truths: list[np.ndarray]) -> Scan:
+def add_masks(scan: Scan, truths: list[np.ndarray]) -> Scan:
     masks = [(true > 0).astype(np.uint8) * 255 for true in truths]
     frames = [replace(frame, mask=mask) for frame, mask in zip(scan.frames, masks, strict=True)]
     return replace(scan, frames=frames)
 
 
-def test_the_front_of_the_hull_is_never_behind_the_thing() -> None:
+def test_the_front_of_the_hull_is_never_behind_the_object() -> None:
     scan, truths = pale_object.make_pale_scan(views=36)
-    scan = masked(scan, truths)
+    scan = add_masks(scan, truths)
     views = [replace(view, near=0.5, far=1.5) for view in create_posed_views(scan)]
     true = truths[5].astype(np.float32)
     front = compute_hull_entry(views[5], true > 0, detect_outline(scan, views, 3.0).silhouettes)
@@ -97,13 +97,13 @@ def test_the_front_of_the_hull_is_never_behind_the_thing() -> None:
     ahead = (true - front)[true > 0] / true[true > 0]
     assert np.mean(front[true > 0] > 0) == 1
     assert ahead.min() > -0.005
-    # A ring of views bounds it from above and below by their cones alone.
+    # A ring of views bounds the object from above and below only by their view cones.
     assert np.median(ahead) < 0.03
 
 
-def test_what_no_view_measured_lies_on_the_hull() -> None:
+def test_unmeasured_surface_is_filled_near_the_hull() -> None:
     scan, truths = pale_object.make_pale_scan(views=36)
-    scan = masked(scan, truths)
+    scan = add_masks(scan, truths)
     views = [replace(view, near=0.5, far=1.5) for view in create_posed_views(scan)]
     outlines = detect_outline(scan, views, 3.0).silhouettes
     true = truths[5].astype(np.float32)
@@ -115,20 +115,20 @@ def test_what_no_view_measured_lies_on_the_hull() -> None:
     off = np.abs(told - true)[told > 0] / true[told > 0]
     front = compute_hull_entry(views[5], told > 0, outlines)
     assert np.median(off) < 0.01
-    # Nearer to the thing than the hull, whose distance from it is told by what is measured around.
+    # Closer to the object than the hull; the offset from the hull is estimated from measured surroundings.
     assert np.median(off) < 0.6 * np.median((true - front)[told > 0] / true[told > 0])
-    # What others measured, there or behind, is no hole.
+    # Depth that other views measured, at or behind the hole, contradicts filling.
     others = [(views[at], truths[at].astype(np.float32)) for at in (4, 6)]
     assert np.mean(remove_contradicted_depth(views[5], told, others, 2)[told > 0] > 0) < 0.1
     np.testing.assert_array_equal(remove_contradicted_depth(views[5], told, others, 3), told)
 
 
-def test_a_thing_with_hardly_any_texture_keeps_its_shape() -> None:
-    """Less texture than noise: what looks alike everywhere lay anywhere, 4 % off in the median."""
+def test_an_object_with_hardly_any_texture_keeps_its_shape() -> None:
+    """With less texture than noise, matches were arbitrary; the median error was 4 %."""
     scan, truths = pale_object.make_pale_scan(views=18, step=20.0, texture=0.5)
     off = []
     with collecting() as diagnostics:
-        results = measured(masked(scan, truths))
+        results = compute_depth(add_masks(scan, truths))
     assert [one.code for one in diagnostics] == [DEPTH_OBJECT_INCOMPLETE.name]
     for (_, result), true in zip(results, truths, strict=True):
         both = (result.depth > 0) & (true > 0)
@@ -136,30 +136,36 @@ def test_a_thing_with_hardly_any_texture_keeps_its_shape() -> None:
     assert np.median(np.concatenate(off)) < 0.02
 
 
-def test_much_that_was_not_measured_is_told() -> None:
-    assert not coverage_reported(CoverageCounts(total=100, foreground=50, consistent=40, hull_filled=4))
-    (said,) = coverage_reported(CoverageCounts(total=100, foreground=50, consistent=30, hull_filled=10))
+def test_many_unmeasured_pixels_are_reported() -> None:
+    assert not collect_coverage_reports(
+        CoverageCounts(total=100, foreground=50, consistent=40, hull_filled=4)
+    )
+    (said,) = collect_coverage_reports(
+        CoverageCounts(total=100, foreground=50, consistent=30, hull_filled=10)
+    )
     assert said.startswith("25% of the object's depth is not measured")
-    (said,) = coverage_reported(CoverageCounts(total=100, foreground=50, consistent=30, plane_filled=10))
+    (said,) = collect_coverage_reports(
+        CoverageCounts(total=100, foreground=50, consistent=30, plane_filled=10)
+    )
     assert said.startswith("25% of the depth is not measured, but filled from planes")
 
 
-def test_masks_that_cut_a_thing_out_bound_it(pale: tuple[Scan, list[np.ndarray]]) -> None:
+def test_object_masks_bound_the_depth(pale: tuple[Scan, list[np.ndarray]]) -> None:
     scan, truths = pale
-    cut = masked(scan, truths)
+    cut = add_masks(scan, truths)
     views = create_posed_views(cut)
     outline = detect_outline(cut, views, 3.0)
     assert len(outline.silhouettes) == 9
     true = truths[4].astype(np.float32)
     np.testing.assert_array_equal(crop_to_hull(true, views[4], outline.silhouettes), true)
-    # Nearer by half of the thing's depth, most of it projects beside it in the views aside.
+    # At half of its depth closer, most of the object projects outside its silhouettes in the side views.
     wrong = true - np.float32(0.15) * (true > 0)
     assert np.mean(crop_to_hull(wrong, views[4], outline.silhouettes)[true > 0] > 0) < 0.7
-    for (_, result), true in list(zip(measured(cut), truths, strict=True))[2:-2]:
+    for (_, result), true in list(zip(compute_depth(cut), truths, strict=True))[2:-2]:
         assert np.mean(result.depth[true > 0] > 0) > 0.8
 
 
-def test_masks_of_what_moves_and_of_lenses_are_no_silhouettes(pale: tuple[Scan, list[np.ndarray]]) -> None:
+def test_other_masks_are_not_silhouettes(pale: tuple[Scan, list[np.ndarray]]) -> None:
     scan, truths = pale
     height, width = truths[0].shape
     moving = [(true == 0).astype(np.uint8) for true in truths]
@@ -173,33 +179,33 @@ def test_masks_of_what_moves_and_of_lenses_are_no_silhouettes(pale: tuple[Scan, 
         assert not detect_outline(replace(scan, frames=frames), create_posed_views(scan), 0.0).is_known
 
 
-def test_little_depth_is_told_with_what_took_it() -> None:
+def test_low_coverage_is_reported_with_its_cause() -> None:
     pairs = {"views": "pairs"}
-    assert not coverage_reported(
+    assert not collect_coverage_reports(
         CoverageCounts(total=100, foreground=50, matched=40, consistent=30, outlined=100), **pairs
     )
-    (said,) = coverage_reported(
+    (said,) = collect_coverage_reports(
         CoverageCounts(total=100, foreground=50, matched=40, consistent=10, outlined=100), **pairs
     )
     assert "only 20% of the pixels inside masks or in front of the backdrop" in said
     assert "60% are not confirmed by 2 other views" in said
     assert said.index("60%") < said.index("20% have no reliable match")
-    (said,) = coverage_reported(
+    (said,) = collect_coverage_reports(
         CoverageCounts(total=100, foreground=100, textureless=80, matched=15, consistent=10), **pairs
     )
     assert (
         "10% of the views' pixels: 80% have too little texture (depth.max_backdrop_contrast=0 keeps them)"
         in said
     )
-    assert not coverage_reported(
+    assert not collect_coverage_reports(
         CoverageCounts(total=100, foreground=100, textureless=20, matched=70, consistent=16), **pairs
     )
 
 
-def test_little_depth_is_told_once_for_the_scan(pale: tuple[Scan, list[np.ndarray]]) -> None:
+def test_low_coverage_is_reported_once_per_scan(pale: tuple[Scan, list[np.ndarray]]) -> None:
     scan, _ = pale
     few = replace(scan, frames=scan.frames[:4])
     with collecting() as diagnostics:
-        measured(few, consistency_tolerance=1e-4)
+        compute_depth(few, consistency_tolerance=1e-4)
     (said,) = [str(one) for one in diagnostics if one.code == DEPTH_COVERAGE_LOW.name]
     assert "have low confidence or are not confirmed by 2 other views (depth.min_confidence=128 and" in said

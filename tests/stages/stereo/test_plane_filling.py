@@ -1,4 +1,4 @@
-"""Places without texture between measured depth: the plane that this lies on, and else nothing."""
+"""Filling of untextured regions: only if the measured surroundings are on one plane."""
 
 from __future__ import annotations
 
@@ -22,21 +22,21 @@ from scanloom.stages.stereo.posed_views import PosedView
 
 HEIGHT, WIDTH = 240, 320
 ROWS, COLUMNS = np.mgrid[:HEIGHT, :WIDTH].astype(float)
-# Inverse depth of a floor that goes away upwards, 1 to 2.2 m.
+# Inverse depth of a floor that recedes towards the top, 1 to 2.2 m.
 FLOOR = 1 / (0.45 + 0.0022 * ROWS + 0.0003 * COLUMNS)
 SQUARE = np.s_[40:200, 60:260]
 
 
-def photo(*edges: tuple[slice, slice]) -> np.ndarray:
-    """Return a photo with texture everywhere but in some patches, each of one colour."""
+def make_photo(*edges: tuple[slice, slice]) -> np.ndarray:
+    """Make a photo with texture everywhere except in single-colour patches."""
     color = np.random.default_rng(1).integers(0, 255, (HEIGHT, WIDTH, 3), dtype=np.uint8)
     for number, patch in enumerate(edges):
         color[patch] = 90 + 60 * number
     return color
 
 
-def measured(depth: np.ndarray, *open_: tuple[slice, slice]) -> tuple[DepthImage, np.ndarray]:
-    """Return depth with noise, none in some patches but for a margin of three pixels, and full trust."""
+def add_noise_and_holes(depth: np.ndarray, *open_: tuple[slice, slice]) -> tuple[DepthImage, np.ndarray]:
+    """Add noise, and remove depth inside patches up to a margin of three pixels; return confidence as well."""
     noise = 1 + 2e-3 * np.random.default_rng(2).standard_normal(depth.shape)
     found = (depth * noise).astype(np.float32)
     for rows, columns in open_:
@@ -45,43 +45,43 @@ def measured(depth: np.ndarray, *open_: tuple[slice, slice]) -> tuple[DepthImage
 
 
 def test_a_patch_of_a_floor_is_filled_to_a_fraction_of_the_noise() -> None:
-    depth, trust = measured(FLOOR, SQUARE)
-    told = compute_plane_depth(depth, trust, photo(SQUARE))
+    depth, trust = add_noise_and_holes(FLOOR, SQUARE)
+    told = compute_plane_depth(depth, trust, make_photo(SQUARE))
     assert not told[depth > 0].any()
     hole = np.zeros(depth.shape, bool)
     hole[SQUARE] = depth[SQUARE] == 0
     assert np.mean(told[hole] > 0) > 0.95
     off = told[hole & (told > 0)] / FLOOR[hole & (told > 0)] - 1
     assert np.abs(off).max() < 2e-3
-    np.testing.assert_array_equal(told, compute_plane_depth(depth, trust, photo(SQUARE)))
+    np.testing.assert_array_equal(told, compute_plane_depth(depth, trust, make_photo(SQUARE)))
 
 
-def test_what_has_texture_and_what_is_not_sure_around_stays_open() -> None:
-    depth, trust = measured(FLOOR, SQUARE)
-    assert not compute_plane_depth(depth, trust, photo()).any()
-    assert not compute_plane_depth(depth, np.full_like(trust, 210), photo(SQUARE)).any()
-    assert not compute_plane_depth(np.zeros_like(depth), trust, photo(SQUARE)).any()
+def test_textured_or_uncertain_patches_are_not_filled() -> None:
+    depth, trust = add_noise_and_holes(FLOOR, SQUARE)
+    assert not compute_plane_depth(depth, trust, make_photo()).any()
+    assert not compute_plane_depth(depth, np.full_like(trust, 210), make_photo(SQUARE)).any()
+    assert not compute_plane_depth(np.zeros_like(depth), trust, make_photo(SQUARE)).any()
 
 
-def test_a_patch_around_which_no_plane_takes_most_stays_open() -> None:
-    """A fold of a cloth, and a ball: plain, and not flat."""
+def test_a_patch_without_dominant_plane_is_not_filled() -> None:
+    """A fold of cloth, and a ball: untextured, but not flat."""
     fold = np.where(COLUMNS < 160, FLOOR, FLOOR * (1 + 0.003 * (COLUMNS - 160)))
     radius2 = ((ROWS - 120) ** 2 + (COLUMNS - 160) ** 2) / 200**2
     ball = 2 - np.sqrt(np.maximum(1 - radius2, 0.01))
     for depth in (fold, ball):
-        found, trust = measured(depth, SQUARE)
-        told = compute_plane_depth(found, trust, photo(SQUARE))
+        found, trust = add_noise_and_holes(depth, SQUARE)
+        told = compute_plane_depth(found, trust, make_photo(SQUARE))
         off = np.abs(told[told > 0] / depth[told > 0] - 1)
         assert not told.any() or off.max() < 0.01
 
 
-def test_a_thing_before_the_patch_does_not_move_its_plane_and_what_is_behind_it_forbids_it() -> None:
+def test_foreground_does_not_affect_the_plane_and_background_prevents_filling() -> None:
     for factor, is_filled in ((0.6, True), (1.3, False)):
         depth = np.array(FLOOR)
-        # A quarter of the rim is of something else.
+        # A quarter of the rim belongs to another surface.
         depth[195:, :] *= factor
-        found, trust = measured(depth, SQUARE)
-        told = compute_plane_depth(found, trust, photo(SQUARE))
+        found, trust = add_noise_and_holes(depth, SQUARE)
+        told = compute_plane_depth(found, trust, make_photo(SQUARE))
         assert told.any() == is_filled
         if is_filled:
             inside = np.zeros(depth.shape, bool)
@@ -90,15 +90,15 @@ def test_a_thing_before_the_patch_does_not_move_its_plane_and_what_is_behind_it_
             assert np.abs(told[there] / FLOOR[there] - 1).max() < 5e-3
 
 
-def test_nothing_is_told_beyond_what_was_measured() -> None:
-    """Depth on one side alone tells nothing of the other side, however well a plane fits."""
-    depth, trust = measured(FLOOR, SQUARE)
+def test_nothing_is_filled_beyond_the_measured_side() -> None:
+    """Depth on one side does not determine the other side, however well a plane fits."""
+    depth, trust = add_noise_and_holes(FLOOR, SQUARE)
     depth[:, 110:] = 0
-    told = compute_plane_depth(depth, trust, photo(SQUARE))
+    told = compute_plane_depth(depth, trust, make_photo(SQUARE))
     assert not told[:, 112:].any()
 
 
-def test_the_plane_of_the_most_squares_is_found_among_others() -> None:
+def test_the_dominant_plane_is_found_among_outliers() -> None:
     random = np.random.default_rng(3)
     squares = np.column_stack([random.uniform(0, 300, (60, 2)), np.zeros(60)])
     squares[:, 2] = 0.5 + squares[:, :2] @ (1e-3, -4e-4)
@@ -108,7 +108,7 @@ def test_the_plane_of_the_most_squares_is_found_among_others() -> None:
     np.testing.assert_array_equal(taken, np.arange(60) >= 20)
     squares[:40, 2] *= random.uniform(1.2, 3, 40)
     assert fit_plane(squares, random) is None
-    # On a line they tell no plane.
+    # Points on a line determine no plane.
     squares[:, 1] = squares[:, 0]
     assert fit_plane(squares[:11], random) is None
 
@@ -122,7 +122,7 @@ def test_the_plane_of_the_most_squares_is_found_among_others() -> None:
         ((1.0, 1.0, 1.2), (1.0, 0.0, 1.2), True),
     ],
 )
-def test_a_place_is_told_where_others_say_the_same_and_none_measured_another(
+def test_a_pixel_is_filled_if_other_views_agree_and_none_contradicts(
     said: tuple[float, ...], seen: tuple[float, ...], is_kept: bool
 ) -> None:
     view = PosedView(posed_scene.CAMERA, posed_scene.pose(0, 0), 0.8, 1.6)
@@ -134,10 +134,10 @@ def test_a_place_is_told_where_others_say_the_same_and_none_measured_another(
 
 
 @pytest.mark.parametrize("threads", [1, 2])
-def test_maps_of_views_are_filled_marked_and_kept_within_what_may_be(tmp_path: Path, threads: int) -> None:
-    """Three views from one place, and one that was lost: all have a hole, whose left half is masked out."""
-    camera, color = Camera(WIDTH, HEIGHT, 300.0, 300.0, 160.0, 120.0), photo(SQUARE)
-    depth, trust = measured(FLOOR, SQUARE)
+def test_depth_maps_of_views_are_filled_marked_and_masked(tmp_path: Path, threads: int) -> None:
+    """Three views from one position and one skipped view; the left half of their hole is masked."""
+    camera, color = Camera(WIDTH, HEIGHT, 300.0, 300.0, 160.0, 120.0), make_photo(SQUARE)
+    depth, trust = add_noise_and_holes(FLOOR, SQUARE)
     nothing = np.full(depth.shape, np.nan, np.float32)
     found = DepthMap(depth, trust, nothing, color, camera, np.eye(3), SearchRange(0, 16), 0.5, 5.0)
     maps: list[DepthMap | SkippedFrame] = [found, found, SkippedFrame("2", "it is damaged"), found]

@@ -1,4 +1,4 @@
-"""Views swept plane by plane: against a plain version of the equations, and on what is known."""
+"""Plane sweep: comparison with a reference implementation, and known scenes."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from tests.made import posed_scene
 SMALL, LARGE, EDGE = 24, 300.0, 30.0
 
 
-def census_and_gradient(grey: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def compute_census_and_gradient(grey: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     h, w = grey.shape
     wide = np.pad(grey, ((2, 2), (3, 3)), mode="edge").astype(int)
     own = wide[2 : 2 + h, 3 : 3 + w]
@@ -35,9 +35,9 @@ def census_and_gradient(grey: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.stack(bits, -1), np.trunc(np.stack([across, down], -1) / 2).astype(int)
 
 
-def plain_costs(grey, partners, first, count) -> dict[tuple[int, int], np.ndarray]:
-    own_bits, own_gradient = census_and_gradient(grey)
-    described = [census_and_gradient(one[0]) for one in partners]
+def compute_reference_costs(grey, partners, first, count) -> dict[tuple[int, int], np.ndarray]:
+    own_bits, own_gradient = compute_census_and_gradient(grey)
+    described = [compute_census_and_gradient(one[0]) for one in partners]
     result = {}
     for y, x in np.ndindex(grey.shape):
         costs = []
@@ -61,7 +61,7 @@ def plain_costs(grey, partners, first, count) -> dict[tuple[int, int], np.ndarra
     return result
 
 
-def plain_sums(grey, costs, first) -> dict[tuple[int, int], np.ndarray]:
+def compute_reference_sums(grey, costs, first) -> dict[tuple[int, int], np.ndarray]:
     sums = {at: np.zeros(len(cost), int) for at, cost in costs.items()}
     h, w = grey.shape
     for way in ((0, 1), (0, -1), (1, 0), (-1, 0), (1, 1), (1, -1), (-1, 1), (-1, -1)):
@@ -94,7 +94,7 @@ def plain_sums(grey, costs, first) -> dict[tuple[int, int], np.ndarray]:
 
 @settings(max_examples=15, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1))
-def test_the_kernel_is_the_plain_version(seed: int) -> None:
+def test_the_kernel_agrees_with_the_reference(seed: int) -> None:
     rng = np.random.default_rng(seed)
     h, w, planes = (int(n) for n in (rng.integers(1, 7), rng.integers(1, 9), 16 * rng.integers(1, 4)))
     grey = rng.integers(0, 256, (h, w), dtype=np.uint8)
@@ -114,8 +114,8 @@ def test_the_kernel_is_the_plain_version(seed: int) -> None:
 
     for one, other in zip((plane, margin), again, strict=True):
         np.testing.assert_array_equal(one, other)
-    costs = plain_costs(grey, partners, first, count)
-    sums = plain_sums(grey, costs, first)
+    costs = compute_reference_costs(grey, partners, first, count)
+    sums = compute_reference_sums(grey, costs, first)
     for y, x in np.ndindex(grey.shape):
         best = int(np.argmin(sums[y, x]))
         assert abs(plane[y, x] - (first[y, x] + best)) <= 0.5
@@ -137,7 +137,7 @@ def test_ranges_beyond_the_planes_are_refused() -> None:
             )
 
 
-def posed(count: int) -> tuple[list[ViewImage], list[np.ndarray]]:
+def make_posed_views(count: int) -> tuple[list[ViewImage], list[np.ndarray]]:
     views, truths = [], []
     for number in range(count):
         where = posed_scene.pose(7.0 * number, 0)
@@ -150,17 +150,17 @@ def posed(count: int) -> tuple[list[ViewImage], list[np.ndarray]]:
 
 
 def test_a_known_scene_is_measured_to_a_fraction_of_a_pixel() -> None:
-    views, truths = posed(5)
+    views, truths = make_posed_views(5)
     found = sweep_view(views[2], [views[at] for at in (1, 3, 0, 4)])
     shown = truths[2] > 0
     off = np.abs(found.depth - truths[2])[shown] / truths[2][shown]
-    # A pixel of disparity is two per cent.
+    # A pixel of disparity is 2 %.
     assert np.median(off) < 0.002
     assert np.mean(off < 0.02) > 0.9
 
 
-def test_only_what_a_thing_is_about_is_searched() -> None:
-    views, truths = posed(3)
+def test_only_object_pixels_are_searched() -> None:
+    views, truths = make_posed_views(3)
     thing = np.zeros(truths[1].shape, bool)
     thing[60:90, 100:140] = True
     part = sweep_view(replace(views[1], object_mask=thing), [views[0], views[2]])
@@ -169,9 +169,9 @@ def test_only_what_a_thing_is_about_is_searched() -> None:
     assert not part.distinctness[:20].any()
 
 
-def test_a_partner_that_shows_nothing_there_forbids_it() -> None:
-    """Seen from the partner, the thing is where it truly is alone; so it is found there, however plain."""
-    views, _ = posed(2)
+def test_depth_outside_the_mask_of_a_partner_is_rejected() -> None:
+    """The mask of the partner leaves only the true depth, so even an untextured object is found."""
+    views, _ = make_posed_views(2)
     flat = [replace(one, grey=np.full_like(one.grey, 90)) for one in views]
     matrix = views[0].view.compute_projection_to(views[1].view)
     v, u = np.mgrid[60:100, 90:130]
@@ -183,7 +183,7 @@ def test_a_partner_that_shows_nothing_there_forbids_it() -> None:
     assert np.median(found.depth[75:85, 105:115]) == pytest.approx(1.5, rel=0.15)
 
 
-def test_confidence_rises_with_what_speaks_for_it() -> None:
+def test_confidence_increases_with_evidence() -> None:
     rng = np.random.default_rng(3)
     grey = rng.integers(0, 256, (40, 60), dtype=np.uint8)
     depth = np.full((40, 60), 2.0, np.float32)
@@ -204,8 +204,8 @@ def test_confidence_rises_with_what_speaks_for_it() -> None:
 
 @settings(max_examples=25, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1))
-def test_what_others_say_is_what_they_see(seed: int) -> None:
-    """Against projecting each place by itself, in NumPy."""
+def test_support_of_other_views_agrees_with_the_reference(seed: int) -> None:
+    """The reference projects each point separately in NumPy."""
     rng = np.random.default_rng(seed)
     camera = replace(posed_scene.CAMERA, width=12, height=9, cx=5.5, cy=4.0, fx=10.0, fy=11.0)
     views = [

@@ -1,4 +1,4 @@
-"""Poses of views come nearer to the truth by points that views recognise, and stay where they are right."""
+"""Pose refinement of views by feature matches: inexact poses improve, exact poses are kept."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ CAMERA = posed_scene.CAMERA
 Matched = Mapping[tuple[int, int], tuple[np.ndarray, np.ndarray]]
 
 
-def around(count: int) -> list[PosedView]:
-    """Views from a half circle and from two heights."""
+def make_views(count: int) -> list[PosedView]:
+    """Make views on a half circle at two heights."""
     return [
         PosedView(CAMERA, posed_scene.pose(angle, 10.0 * (k % 2)), 0.8, 1.6)
         for k, angle in enumerate(np.linspace(-60, 60, count))
     ]
 
 
-def shaken(views: list[PosedView], turned: float, moved: float) -> list[PosedView]:
-    """Turn views by some degrees, and move them by some metres (standard deviations)."""
+def disturb_views(views: list[PosedView], turned: float, moved: float) -> list[PosedView]:
+    """Disturb views by random rotations in degrees and shifts in metres (standard deviations)."""
     random = np.random.default_rng(3)
     found = []
     for view in views:
@@ -36,8 +36,8 @@ def shaken(views: list[PosedView], turned: float, moved: float) -> list[PosedVie
     return found
 
 
-def seen(views: list[PosedView], *, wrong: float = 0.0) -> Matched:
-    """Return what views recognise of a cloud in their neighbours, to half a pixel; a share of it is wrong."""
+def match_points(views: list[PosedView], *, wrong: float = 0.0) -> Matched:
+    """Match points of a cloud between neighbouring views with noise of half a pixel; `wrong` is a ratio."""
     random = np.random.default_rng(4)
     points = random.uniform(-0.25, 0.25, (80, 3))
     matched = {}
@@ -53,8 +53,8 @@ def seen(views: list[PosedView], *, wrong: float = 0.0) -> Matched:
     return matched
 
 
-def off_by(views: list[PosedView], poses: list[np.ndarray]) -> float:
-    """Return the median turn from each view to the next that is not the true one, degrees."""
+def measure_rotation_error(views: list[PosedView], poses: list[np.ndarray]) -> float:
+    """Compute the median rotation error between consecutive views in degrees."""
     off = []
     for k in range(len(views) - 1):
         true, found = (
@@ -65,24 +65,24 @@ def off_by(views: list[PosedView], poses: list[np.ndarray]) -> float:
 
 
 @pytest.mark.parametrize("wrong", [0.0, 0.3])
-def test_poses_come_nearer_to_the_truth(wrong: float) -> None:
-    views = around(9)
-    given = shaken(views, 0.5, 0.005)
-    nearer = refine_poses(given, seen(views, wrong=wrong), 1.2)
+def test_inexact_poses_improve(wrong: float) -> None:
+    views = make_views(9)
+    given = disturb_views(views, 0.5, 0.005)
+    nearer = refine_poses(given, match_points(views, wrong=wrong), 1.2)
     assert nearer is not None
     assert nearer.error_after < 1 < 4 < nearer.error_before
-    before = off_by(views, [view.world_from_camera for view in given])
-    assert off_by(views, list(nearer.poses)) < before / 2
+    before = measure_rotation_error(views, [view.world_from_camera for view in given])
+    assert measure_rotation_error(views, list(nearer.poses)) < before / 2
     for pose in nearer.poses:
         np.testing.assert_allclose(pose[:3, :3] @ pose[:3, :3].T, np.eye(3), atol=1e-9)
 
 
-def test_poses_that_are_right_are_left() -> None:
-    views = around(9)
-    assert refine_poses(views, seen(views), 1.2) is None
+def test_exact_poses_are_kept() -> None:
+    views = make_views(9)
+    assert refine_poses(views, match_points(views), 1.2) is None
 
 
-def test_without_anything_recognised_poses_are_left() -> None:
-    assert refine_poses(around(3), {}, 1.2) is None
+def test_without_matches_poses_are_kept() -> None:
+    assert refine_poses(make_views(3), {}, 1.2) is None
     nothing = np.zeros((0, 2))
-    assert refine_poses(around(3), {(0, 1): (nothing, nothing)}, 1.2) is None
+    assert refine_poses(make_views(3), {(0, 1): (nothing, nothing)}, 1.2) is None

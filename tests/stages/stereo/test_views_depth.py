@@ -1,4 +1,4 @@
-"""Depth of single views with poses, on a made scene whose depth is known, and on a real one."""
+"""Depth of posed photos, on a synthetic scene with known depth and on a real scene."""
 
 from __future__ import annotations
 
@@ -34,17 +34,17 @@ from scanloom.stages.stereo.view_rectification import rectify_views, transfer_de
 pytestmark = pytest.mark.slow
 
 
-def view(pose: np.ndarray, near: float = 0.8, far: float = 1.6) -> PosedView:
+def make_view(pose: np.ndarray, near: float = 0.8, far: float = 1.6) -> PosedView:
     return PosedView(posed_scene.CAMERA, pose, near, far)
 
 
-def ring(*angles: float) -> list[PosedView]:
-    return [view(posed_scene.pose(angle, 0)) for angle in angles]
+def make_ring(*angles: float) -> list[PosedView]:
+    return [make_view(posed_scene.pose(angle, 0)) for angle in angles]
 
 
 @cache
-def with_frames() -> tuple[list[tuple[Frame, DepthMap | SkippedFrame]], list[tuple[int, int]]]:
-    """Return what is found of the made scene as it is, and the progress told; several tests look at it."""
+def compute_depth_of_scene() -> tuple[list[tuple[Frame, DepthMap | SkippedFrame]], list[tuple[int, int]]]:
+    """Compute depth of the made scene with its progress; cached, because several tests use it."""
     told: list[tuple[int, int]] = []
     found = views_depth(
         posed_scene.make_posed_scan()[0], DepthParams(), lambda done, total: told.append((done, total))
@@ -52,18 +52,18 @@ def with_frames() -> tuple[list[tuple[Frame, DepthMap | SkippedFrame]], list[tup
     return list(found), told
 
 
-def measured() -> list[DepthMap]:
-    return [result for _, result in with_frames()[0]]
+def get_depth_maps() -> list[DepthMap]:
+    return [result for _, result in compute_depth_of_scene()[0]]
 
 
-def dot(where: tuple[float, float], camera: Camera) -> np.ndarray:
-    """Return an image that is black but for a soft spot."""
+def draw_dot(where: tuple[float, float], camera: Camera) -> np.ndarray:
+    """Draw a soft white spot on black."""
     u, v = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
     spot = 250 * np.exp(-((u - where[0]) ** 2 + (v - where[1]) ** 2) / 8)
     return np.repeat(spot.astype(np.uint8)[..., None], 3, axis=2)
 
 
-def centre_of(image: np.ndarray) -> np.ndarray:
+def compute_centroid(image: np.ndarray) -> np.ndarray:
     weight = image[..., 0].astype(float)
     v, u = np.mgrid[: weight.shape[0], : weight.shape[1]]
     return np.array([(u * weight).sum(), (v * weight).sum()]) / weight.sum()
@@ -71,8 +71,10 @@ def centre_of(image: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize("rolls", [(0, 0), (180, 180), (90, 90), (-90, -90), (37, 37), (0, 180), (90, 20)])
 @pytest.mark.parametrize("angle", [9, -9])
-def test_a_point_lies_on_one_row_of_both_rectified_images(rolls: tuple[float, float], angle: float) -> None:
-    first, second = view(posed_scene.pose(2, rolls[0])), view(posed_scene.pose(2 + angle, rolls[1]))
+def test_a_point_is_on_the_same_row_of_both_rectified_images(
+    rolls: tuple[float, float], angle: float
+) -> None:
+    first, second = make_view(posed_scene.pose(2, rolls[0])), make_view(posed_scene.pose(2 + angle, rolls[1]))
     pair = rectify_views(first, second)
     assert pair is not None
     rig, near, far = pair
@@ -82,30 +84,30 @@ def test_a_point_lies_on_one_row_of_both_rectified_images(rolls: tuple[float, fl
         for one in (first, second):
             u, v, _ = one.project(point)
             assert one.contains(u, v)
-            images.append(dot((float(u), float(v)), one.camera))
-        left, right = (centre_of(image) for image in rig.apply(*images))
+            images.append(draw_dot((float(u), float(v)), one.camera))
+        left, right = (compute_centroid(image) for image in rig.apply(*images))
         assert abs(left[1] - right[1]) < 0.1
         seen = rig.rectified_from_left @ first.world_from_camera[:3, :3].T @ (point - first.centre)
         assert near <= seen[2] <= far
-        # z = f b / (d + offset), and the spot is where the rectified camera puts the point.
+        # z = f b / (d + offset), and the spot is where the rectified camera projects the point.
         depth = rig.focal_baseline / (left[0] - right[0] + rig.principal_offset)
         assert depth == pytest.approx(seen[2], rel=2e-3)
         expected = seen[:2] / seen[2] * rig.left.fx + (rig.left.cx, rig.left.cy)
         np.testing.assert_allclose(left, expected, atol=0.1)
 
 
-def test_views_one_behind_the_other_or_in_one_place_make_no_pair() -> None:
-    first = view(posed_scene.pose(0, 0))
-    assert rectify_views(first, view(posed_scene.pose(0, 90))) is None
-    assert rectify_views(first, view(posed_scene.pose(0, 0, distance=1.4))) is None
+def test_views_along_the_axis_or_without_baseline_are_not_a_pair() -> None:
+    first = make_view(posed_scene.pose(0, 0))
+    assert rectify_views(first, make_view(posed_scene.pose(0, 90))) is None
+    assert rectify_views(first, make_view(posed_scene.pose(0, 0, distance=1.4))) is None
 
 
-def test_depth_comes_back_along_the_views_own_axis() -> None:
-    first, second = view(posed_scene.pose(-4, 30)), view(posed_scene.pose(4, 30))
+def test_depth_is_converted_to_the_axis_of_the_view() -> None:
+    first, second = make_view(posed_scene.pose(-4, 30)), make_view(posed_scene.pose(4, 30))
     pair = rectify_views(first, second)
     assert pair is not None
     rig = pair[0]
-    # The board, z = 0.25 in the world, as the rectified camera measures it.
+    # The board, z = 0.25 in the world, in the axes of the rectified camera.
     u, v = np.meshgrid(np.arange(rig.left.width), np.arange(rig.left.height))
     rays = np.stack(
         [(u - rig.left.cx) / rig.left.fx, (v - rig.left.cy) / rig.left.fy, np.ones(u.shape)], axis=-1
@@ -130,7 +132,7 @@ def test_depth_comes_back_along_the_views_own_axis() -> None:
 def test_depth_of_a_made_scene() -> None:
     scan, truth = posed_scene.make_posed_scan()
 
-    results, told = with_frames()
+    results, told = compute_depth_of_scene()
 
     assert told[-1] == (14, 14)
     for (frame, result), given, true in zip(results, scan.frames, truth, strict=True):
@@ -146,7 +148,7 @@ def test_depth_of_a_made_scene() -> None:
         assert np.median(wrong) < 0.003
         assert np.mean(wrong > 0.02) < 0.02
         assert np.mean(used[true > 0]) > 0.55
-        # The black around is no surface, but for a rim.
+        # The black background has no surface, except for a rim.
         assert not used[~binary_dilation(true > 0, iterations=3)].any()
         assert np.mean(used[true == 0]) < 0.05
 
@@ -159,17 +161,17 @@ def test_results_do_not_depend_on_threads() -> None:
         np.testing.assert_array_equal(first.depth, second.depth)
 
 
-def test_nothing_is_kept_outside_a_stated_box() -> None:
+def test_depth_outside_a_given_box_is_removed() -> None:
     scan, truth = posed_scene.make_posed_scan()
     ball = np.array([[-0.23, -0.23, -0.23], [0.23, 0.23, 0.0]])
     with collecting() as diagnostics:
         (_, result) = list(views_depth(replace(scan, bounding_box=ball)))[3]
-    # Much of what the views show is outside.
+    # Many visible surfaces are outside the box.
     assert [one.code for one in diagnostics] == [DEPTH_COVERAGE_LOW.name]
     at = np.array(scan.frames[3].world_from_camera)
     assert np.mean(result.depth[(truth[3] > 0) & (truth[3] < 1.15)] > 0) > 0.7
     rows, columns = np.nonzero(result.depth)
-    one = view(at)
+    one = make_view(at)
     points = one.to_world(
         one.compute_rays(columns.astype(float), rows.astype(float)) * result.depth[rows, columns, None]
     )
@@ -178,9 +180,9 @@ def test_nothing_is_kept_outside_a_stated_box() -> None:
     assert (points <= ball[1] + margin + 1e-6).all()
 
 
-def test_a_planted_wrong_depth_is_agreed_with_by_none() -> None:
+def test_planted_wrong_depth_is_inconsistent() -> None:
     scan, truth = posed_scene.make_posed_scan()
-    views = [view(np.array(frame.world_from_camera)) for frame in scan.frames]
+    views = [make_view(np.array(frame.world_from_camera)) for frame in scan.frames]
     depth = truth[3].astype(np.float32)
     depth[80:100, 110:130] *= 0.95
     others = [(views[at], truth[at].astype(np.float32)) for at in (1, 2, 4, 5)]
@@ -194,7 +196,7 @@ def test_a_planted_wrong_depth_is_agreed_with_by_none() -> None:
     assert not count[truth[3] == 0].any()
 
 
-def test_merging_takes_what_most_partners_say() -> None:
+def test_merging_uses_the_majority_of_partners() -> None:
     depths = [np.full((1, 4), z, np.float32) for z in (1.0, 1.004, 2.0)]
     depths[0][0, 1] = depths[1][0, 1] = 0
     depths[0][0, 2] = depths[1][0, 2] = depths[2][0, 2] = 0
@@ -207,18 +209,18 @@ def test_merging_takes_what_most_partners_say() -> None:
     np.testing.assert_array_equal(confidence, [[20, 30, 0, 30]])
 
 
-def test_partners_are_a_little_aside() -> None:
-    views = ring(0, 0.3, 8, 20, 60, 180, -6)
+def test_partners_have_a_moderate_baseline() -> None:
+    views = make_ring(0, 0.3, 8, 20, 60, 180, -6)
     assert select_partners(views, 0, 2) == [2, 6]
-    # Not the view in the same place, nor those that look from too far aside or from behind.
+    # Neither the view from the same position, nor views with too large angles or from behind.
     assert select_partners(views, 0, 9) == [2, 6, 3]
     assert score_partner(views[0], views[1]) == 0
     away = posed_scene.pose(8, 0)
     away[:3, :3] = away[:3, :3] @ np.diag((-1.0, 1.0, -1.0))
-    assert score_partner(views[0], view(away)) == 0
+    assert score_partner(views[0], make_view(away)) == 0
 
 
-def test_texture_is_told_from_a_backdrop_and_its_rim() -> None:
+def test_texture_is_distinguished_from_a_backdrop_and_its_rim() -> None:
     image = np.random.default_rng(1).normal(10, 1, (60, 80)).round().clip(0, 255).astype(np.uint8)
     image[:, :40] = np.random.default_rng(2).integers(50, 200, (60, 40))
     found = mask_textured_surroundings(image, 3.0)
@@ -226,15 +228,15 @@ def test_texture_is_told_from_a_backdrop_and_its_rim() -> None:
     assert not found[:, 42:].any()
 
 
-def test_the_scene_is_where_the_axes_meet() -> None:
-    views = [replace(v, near=0.0, far=np.inf) for v in ring(-20, 0, 30)]
+def test_the_scene_is_at_the_intersection_of_optical_axes() -> None:
+    views = [replace(v, near=0.0, far=np.inf) for v in make_ring(-20, 0, 30)]
     box = estimate_scene_box(views)
     assert box is not None
-    # 1.2 m away, half of 240 px at 300 px focal length: 0.48 m around the origin.
+    # 1.2 m away, half of 240 px at a focal length of 300 px: 0.48 m around the origin.
     np.testing.assert_allclose(box, [[-0.48] * 3, [0.48] * 3], atol=1e-9)
 
 
-def test_views_that_look_past_each_other_need_a_depth_range() -> None:
+def test_views_without_common_target_need_a_depth_range() -> None:
     scan, _ = posed_scene.make_posed_scan()
     shifted = []
     for number, frame in enumerate(scan.frames):
@@ -249,27 +251,27 @@ def test_views_that_look_past_each_other_need_a_depth_range() -> None:
     assert {(one.near, one.far) for one in views} == {(0.5, 2.0)}
 
 
-def test_nothing_is_kept_where_a_mask_says_so() -> None:
+def test_masked_pixels_have_no_depth() -> None:
     scan, _ = posed_scene.make_posed_scan()
     mask = np.full((180, 240), 255, np.uint8)
     mask[:, 130:] = 0
     frames = list(scan.frames)
-    # The image of the third is upside down, and its mask with it.
+    # The image of the third view is upside down, and so is its mask.
     frames[2] = upside_down(replace(frames[2], mask=mask))
     frames[3] = replace(frames[3], mask=mask)
-    sound = [result.depth > 0 for result in measured()]
+    sound = [result.depth > 0 for result in get_depth_maps()]
     with collecting() as diagnostics:
         found = [result.depth > 0 for _, result in views_depth(replace(scan, frames=frames))]
     assert [one.code for one in diagnostics] == [DEPTH_IMAGES_TURNED.name]
     for at in (2, 3):
         assert not found[at][:, 130:].any()
-        # A few pixels miss the agreement of what was masked in the other, and are less sure without it.
+        # A few pixels lose the agreement with masked pixels of other views, so they are less certain.
         assert np.mean(found[at][:, :130] & ~sound[at][:, :130]) < 0.002
         assert np.mean(found[at][:, :130] != sound[at][:, :130]) < 0.01
 
 
-def test_recognised_points_tell_how_far_away_the_scene_is() -> None:
-    """Of two views 7 degrees apart: the ball about 1 m, and the board about 1.45 m before them."""
+def test_feature_matches_give_the_distance_of_the_scene() -> None:
+    """Two views 7° apart: the ball is about 1 m away, the board 1.45 m."""
     scan, truth = posed_scene.make_posed_scan()
     views = create_posed_views(scan)
     assert (0, 1) in find_overlapping_pairs(views)
@@ -286,16 +288,16 @@ def test_recognised_points_tell_how_far_away_the_scene_is() -> None:
         np.testing.assert_allclose(
             np.percentile(depth, (5, 50, 95)), np.percentile(true[true > 0], (5, 50, 95)), rtol=0.03
         )
-    # From 30 cm below, the same points would be elsewhere.
+    # From 30 cm below, the same points would be at other pixels.
     away = np.array(scan.frames[1].world_from_camera)
     away[1, 3] += 0.3
     assert match_views(views[0], replace(views[1], world_from_camera=away), *points) is None
 
 
-def test_poses_that_do_not_fit_the_images_are_brought_nearer() -> None:
+def test_inexact_poses_are_refined() -> None:
     scan, truths = posed_scene.make_posed_scan()
-    # With the right poses nothing is emitted; a diagnostic that nobody collects would be an error.
-    assert measured()
+    # Correct poses give no diagnostics; an uncollected diagnostic would raise an error.
+    assert get_depth_maps()
     random = np.random.default_rng(6)
     frames = []
     for frame in scan.frames:
@@ -307,26 +309,26 @@ def test_poses_that_do_not_fit_the_images_are_brought_nearer() -> None:
         found = list(views_depth(replace(scan, frames=frames)))
     assert DEPTH_POSES_MOVED.name in [one.code for one in diagnostics]
     assert any("the poses were refined from feature matches" in str(one) for one in diagnostics)
-    for (frame, result), given, sound, true in zip(found, frames, measured(), truths, strict=True):
+    for (frame, result), given, sound, true in zip(found, frames, get_depth_maps(), truths, strict=True):
         assert isinstance(result, DepthMap)
         assert not np.array_equal(frame.world_from_camera, given.world_from_camera)
         both = (result.depth > 0) & (true > 0)
         used.append(np.count_nonzero(both) / np.count_nonzero(sound.depth))
         errors.append(np.median(np.abs(result.depth - true)[both] / true[both]))
-    # With the poses as given, 0.57 and 0.017.
+    # With the given poses the values are 0.57 and 0.017.
     assert np.mean(used) > 0.75
     assert np.median(errors) < 0.01
 
 
-def rippled(image: np.ndarray, phase: float) -> np.ndarray:
-    """Return an image whose columns are moved up and down by 5 px, as a bad lens or a bad scan would."""
+def ripple_columns(image: np.ndarray, phase: float) -> np.ndarray:
+    """Shift image columns up and down by 5 px, like a poor lens or scanner."""
     v, u = np.mgrid[: image.shape[0], : image.shape[1]].astype(np.float32)
     return cv2.remap(image, u, np.float32(v + 5 * np.sin(u / 6 + phase)), cv2.INTER_LINEAR)
 
 
-def test_poses_that_do_not_fit_the_images_are_told() -> None:
+def test_poses_inconsistent_with_the_images_are_reported() -> None:
     scan, _ = posed_scene.make_posed_scan()
-    frames = [replace(frame, color=rippled(frame.color, k)) for k, frame in enumerate(scan.frames)]
+    frames = [replace(frame, color=ripple_columns(frame.color, k)) for k, frame in enumerate(scan.frames)]
     wrong = replace(scan, frames=frames)
     with pytest.raises(
         InputError, match=r"do not fit the images\. Set scan\.poses.*depth\.max_pose_error, 1\.1 px"
@@ -334,13 +336,13 @@ def test_poses_that_do_not_fit_the_images_are_told() -> None:
         list(views_depth(wrong, DepthParams(max_pose_error=1.1)))
     with collecting() as diagnostics:
         list(views_depth(wrong, DepthParams(max_skipped_ratio=1, max_pose_error=10)))
-    # And that depth covers little then.
+    # A second diagnostic reports low depth coverage.
     assert [one.code for one in diagnostics] == [POSE_INCONSISTENT_WITH_IMAGES.name, DEPTH_COVERAGE_LOW.name]
     assert "poses or calibration are inaccurate" in str(diagnostics[0])
     assert "depth covers only" in str(diagnostics[1])
 
 
-def test_a_camera_that_moves_ahead_measures_what_lies_aside() -> None:
+def test_forward_motion_gives_depth_off_axis() -> None:
     frames, truths = [], []
     for number in range(4):
         where = posed_scene.pose(0, 0, distance=1.6 - 0.15 * number)
@@ -352,13 +354,13 @@ def test_a_camera_that_moves_ahead_measures_what_lies_aside() -> None:
         used = (result.depth > 0) & (true > 0)
         assert np.mean(used) > 0.15
         assert np.median(np.abs(result.depth - true)[used] / true[used]) < 0.008
-    # Pairs cannot be rectified.
+    # These pairs cannot be rectified.
     with pytest.raises(InputError, match=r"angle of 1 to 35 degrees; .* in front of it or behind it"):
         list(views_depth(Scan("made", frames), views="pairs"))
 
 
-def test_views_that_face_one_way_need_no_range() -> None:
-    """Cameras in a row whose axes are parallel: only what they recognise says how far away things are."""
+def test_parallel_views_need_no_depth_range() -> None:
+    """Cameras in a row with parallel axes: only feature matches give the distance of objects."""
     frames, truths = [], []
     for number in range(5):
         where = posed_scene.pose(0, 0)
@@ -373,8 +375,8 @@ def test_views_that_face_one_way_need_no_range() -> None:
         assert np.median(np.abs(result.depth - true)[used] / true[used]) < 0.002
 
 
-def test_large_images_are_made_smaller(tmp_path) -> None:
-    """A scene rendered twice as large is measured in half of its size."""
+def test_large_images_are_reduced(tmp_path) -> None:
+    """A scene rendered at double size is measured at half resolution."""
     large = Camera(480, 360, 600.0, 610.0, 242.5, 174.5)
     frames, truths = [], []
     for number in range(4):
@@ -408,7 +410,7 @@ def test_damaged_images_are_skipped_up_to_a_share(tmp_path) -> None:
         list(views_depth(replace(scan, frames=frames), DepthParams(max_skipped_ratio=0.1)))
 
 
-def test_a_view_alone_cannot_be_measured() -> None:
+def test_a_single_view_has_no_depth() -> None:
     scan, _ = posed_scene.make_posed_scan()
     with pytest.raises(InputError, match=r"a single view has no depth: .* in 3 views"):
         list(views_depth(replace(scan, frames=scan.frames[:1])))
@@ -423,7 +425,7 @@ def test_a_view_alone_cannot_be_measured() -> None:
     assert all(isinstance(result, DepthMap) for result in two)
 
 
-def test_views_without_poses_or_images_are_told() -> None:
+def test_views_without_poses_or_images_are_reported() -> None:
     scan, _ = posed_scene.make_posed_scan()
     frames = [replace(scan.frames[0], world_from_camera=None), *scan.frames[1:]]
     with pytest.raises(InputError, match="0000 has no pose"):
@@ -439,13 +441,13 @@ def upside_down(frame: Frame) -> Frame:
 
 
 @pytest.mark.parametrize("places", [[], [5], [0, 1, 2, 3], [1, 3, 6]])
-def test_images_turned_against_their_poses_are_turned_back(
+def test_upside_down_images_are_rotated(
     places: list[int],
 ) -> None:
-    (scan, _), expected = posed_scene.make_posed_scan(), measured()
+    (scan, _), expected = posed_scene.make_posed_scan(), get_depth_maps()
     frames = [upside_down(frame) if at in places else frame for at, frame in enumerate(scan.frames)]
 
-    # The scene as it is is what is expected of the others: all there is to see of it is that nothing is told.
+    # Without rotated images the expected results are reused; only the absence of diagnostics is checked.
     results = expected
     with collecting() as diagnostics:
         if places:
@@ -458,7 +460,7 @@ def test_images_turned_against_their_poses_are_turned_back(
         np.testing.assert_array_equal(result.depth, sound.depth)
 
 
-def test_turned_images_are_left_alone_when_told_so() -> None:
+def test_rotating_images_can_be_disabled() -> None:
     scan, _ = posed_scene.make_posed_scan()
     frames = [*scan.frames[:6], upside_down(scan.frames[6])]
     with collecting() as diagnostics:
@@ -468,7 +470,7 @@ def test_turned_images_are_left_alone_when_told_so() -> None:
 
 
 def test_a_part_of_temple_ring(shared_data) -> None:
-    """Views from before and behind, of which those from behind are upside down in this copy of the data."""
+    """Views from the front and the back; in this copy of the data those from the back are upside down."""
     scan = read_scan(shared_data / "stereo" / "middlebury_templeRing")
     wanted = [f"templeR{number:04d}" for number in (12, 13, 14, 15, 42, 43, 44)]
     frames = [frame for frame in scan.frames if frame.name in wanted]
@@ -487,13 +489,13 @@ def test_a_part_of_temple_ring(shared_data) -> None:
         # The backdrop is black, the temple is not.
         assert np.mean(result.color[result.depth > 0].max(axis=1) > 40) > 0.97
     tree = cKDTree(clouds["templeR0013"])
-    # The temple is 16 cm high; other views of it, matched with others, find it in the same place.
+    # The temple is 16 cm high; depth from other pairs of views agrees.
     assert np.median(tree.query(clouds["templeR0014"])[0]) < 0.0005
     assert np.median(tree.query(clouds["templeR0043"])[0]) < 0.001
 
 
 @pytest.mark.parametrize("size", [(1, 1), (4, 3), (16, 16)])
-def test_tiny_images_are_refused_in_words(size: tuple[int, int]) -> None:
+def test_tiny_images_are_refused(size: tuple[int, int]) -> None:
     scan, _ = posed_scene.make_posed_scan()
     width, height = size
     camera = Camera(width, height, 1.2 * max(size), 1.2 * max(size), width / 2, height / 2)
@@ -505,7 +507,7 @@ def test_tiny_images_are_refused_in_words(size: tuple[int, int]) -> None:
         list(views_depth(replace(scan, frames=frames)))
 
 
-def test_a_pose_beyond_all_bounds_is_told() -> None:
+def test_a_pose_far_away_is_reported() -> None:
     scan, _ = posed_scene.make_posed_scan()
     far = scan.frames[2].world_from_camera.copy()
     far[0, 3] = 1e200
@@ -514,8 +516,8 @@ def test_a_pose_beyond_all_bounds_is_told() -> None:
         list(views_depth(replace(scan, frames=frames)))
 
 
-def test_the_colours_of_a_room_alone_give_its_depth() -> None:
-    """The sample's RGB-D frames without their depth: a camera that walks, whose axes meet nowhere."""
+def test_colour_images_of_a_room_give_its_depth() -> None:
+    """RGB-D frames of the sample without depth: a moving camera whose optical axes do not intersect."""
     scan = read_scan(Path(__file__).resolve().parents[3] / "samples" / "rgbd")
     frames = [replace(frame, depth=None) for frame in scan.frames[8:16]]
 

@@ -1,6 +1,6 @@
-"""Every broken file at hand, in a process of its own with bounded time and memory.
+"""All available broken files, each in a separate process with limited time and memory.
 
-Each gives a mesh that can be cleaned and simplified, or one sentence with its name.
+Each gives a mesh that can be cleaned and simplified, or a one-sentence error with the file's name.
 """
 
 import json
@@ -12,7 +12,7 @@ import pytest
 
 from scanloom.stages.surface.mesh_files import MESH_EXTENSIONS
 
-# Forks a process for each file named on its command line; each prints one JSON object.
+# Forks a process for each file on its command line; each prints one JSON object.
 PARENT = """
 import json, os, resource, sys, time, warnings
 
@@ -91,7 +91,7 @@ def results(shared_data) -> dict[str, dict]:
 
 
 @pytest.mark.parametrize("name", sorted(REFUSED))
-def test_what_cannot_be_used_gives_one_sentence(results, name):
+def test_unusable_files_give_one_sentence(results, name):
     found = results[name]
     assert REFUSED[name] in found["sentence"]
     assert found["sentence"].startswith(found["file"] + ": ")
@@ -100,13 +100,13 @@ def test_what_cannot_be_used_gives_one_sentence(results, name):
 
 
 @pytest.mark.parametrize("name", sorted(READ))
-def test_what_is_merely_odd_is_read_cleaned_and_simplified(results, name):
+def test_unusual_files_are_read_cleaned_and_simplified(results, name):
     found = results[name]
     assert found.get("triangles") == READ[name], found
     assert found["sound"]
     assert found["peak_kb"] < 1_000_000
 
 
-def test_no_file_is_forgotten(shared_data):
+def test_every_broken_file_is_listed(shared_data):
     files = {p.name for p in (shared_data / "broken").iterdir() if p.suffix.lower() in MESH_EXTENSIONS}
     assert files == {*REFUSED, *READ}

@@ -1,4 +1,4 @@
-"""Meshes ordered by cubes of space, which are chunks if the mesh is large."""
+"""Meshes partitioned into cubes of space, which become chunks of large meshes."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ SIDE, SPACING = 40, 0.1
 
 
 def _make_sheet() -> tuple[Mesh, dict[str, np.ndarray]]:
-    """Return a wavy sheet of 3.9 m around the origin in random order, and two values of its vertices."""
+    """Make a wavy sheet of 3.9 m around the origin in random order, with two vertex values."""
     rng = np.random.default_rng(3)
     rows, columns = np.divmod(np.arange(SIDE * SIDE), SIDE)
     points = np.stack([columns, rows, 0 * rows], axis=1) * SPACING - 1.95
@@ -46,7 +46,7 @@ def path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path / "mesh.ply"
 
 
-def test_the_surface_and_its_values_stay(path: Path) -> None:
+def test_the_surface_and_its_values_are_kept(path: Path) -> None:
     mesh, values = _make_sheet()
     found = read_ply(path)
     assert np.array_equal(_sort_corners(found), _sort_corners(mesh))
@@ -92,7 +92,7 @@ def test_the_file_does_not_depend_on_the_in_memory_limit(
     assert (tmp_path / "small.ply").read_bytes() == path.read_bytes()
 
 
-def test_within_a_cube_the_order_stays(tmp_path: Path) -> None:
+def test_the_order_within_a_cube_is_kept(tmp_path: Path) -> None:
     mesh, values = _make_sheet()
     mesh = mesh.with_(vertices=mesh.vertices + 2.0)
     write_in_chunks(tmp_path / "mesh.ply", mesh, values)
@@ -100,6 +100,6 @@ def test_within_a_cube_the_order_stays(tmp_path: Path) -> None:
     assert (tmp_path / "mesh.ply").read_bytes() == (tmp_path / "expected.ply").read_bytes()
 
 
-def test_nothing_is_an_empty_file(tmp_path: Path) -> None:
+def test_an_empty_mesh_is_an_empty_file(tmp_path: Path) -> None:
     write_in_chunks(tmp_path / "mesh.ply", Mesh(np.zeros((0, 3)), np.zeros((0, 3), np.int32)), {})
     assert len(read_ply(tmp_path / "mesh.ply").vertices) == 0

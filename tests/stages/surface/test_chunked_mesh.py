@@ -1,4 +1,4 @@
-"""A mesh in pieces, looked over: what each knows of its neighbours, and of all together."""
+"""Chunked meshes: neighbours across chunks, and global values."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ def whole(large: Path) -> Mesh:
 def cut(
     large: Path, whole: Mesh, request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch
 ) -> ChunkedPly | InMemoryChunks:
-    """The same mesh in a file in pieces, and in memory."""
+    """Open the same mesh in a chunked file and in memory."""
     monkeypatch.setattr(in_memory_chunks, "_CHUNK_TRIANGLES", 700)
     return ChunkedPly(large) if request.param == "file" else InMemoryChunks(whole)
 
 
 @pytest.mark.parametrize("at_once", [300, 500_000])
-def test_vertices_of_pieces_face_as_in_the_whole(
+def test_vertex_normals_of_chunks_equal_those_of_the_mesh(
     cut: ChunkedPly | InMemoryChunks, whole: Mesh, at_once: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(chunked_mesh, "BATCH_TRIANGLES", at_once)
@@ -59,7 +59,7 @@ def test_vertices_of_pieces_face_as_in_the_whole(
     assert count > (60 if at_once == 300 else 30)
 
 
-def test_areas_and_boxes_are_those_of_the_whole(cut: ChunkedPly | InMemoryChunks, whole: Mesh) -> None:
+def test_areas_and_boxes_equal_those_of_the_mesh(cut: ChunkedPly | InMemoryChunks, whole: Mesh) -> None:
     found = ChunkedMesh(cut)
     assert found.area_ends[-1] == np.cumsum(compute_areas(whole.vertices, whole.triangles))[-1]
     assert (found.box == compute_bounding_box(whole)).all()
@@ -70,7 +70,7 @@ def test_areas_and_boxes_are_those_of_the_whole(cut: ChunkedPly | InMemoryChunks
 
 
 @pytest.mark.parametrize("wanted", [1, 37, 1000, 10**6])
-def test_some_vertices_are_the_same_however_few_are_read_at_a_time(
+def test_sampled_vertices_do_not_depend_on_the_batch_size(
     large: Path, whole: Mesh, wanted: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(chunked_ply, "_VERTICES_PER_READ", 100)
@@ -78,15 +78,13 @@ def test_some_vertices_are_the_same_however_few_are_read_at_a_time(
     assert (some == whole.vertices[:: 1 + len(whole.vertices) // wanted]).all()
 
 
-def test_each_vertex_is_one_pieces_own_and_they_follow_each_other(
-    cut: ChunkedPly | InMemoryChunks, whole: Mesh
-) -> None:
+def test_each_vertex_is_owned_by_one_chunk_in_order(cut: ChunkedPly | InMemoryChunks, whole: Mesh) -> None:
     end = done = 0
     places = np.full((len(whole.vertices), 3), np.nan)
     for part in ChunkedMesh(cut).iterate_chunks():
         own = part.global_indices[: part.own_count]
         assert (own == np.arange(end, end + part.own_count)).all()
-        # Others are known from pieces before, or come with one after.
+        # Other vertices are known from earlier chunks or belong to a later chunk.
         places[own] = part.mesh.vertices[: part.own_count]
         end += part.own_count
         rows = whole.triangles[done : done + len(part.mesh.triangles)]
@@ -97,9 +95,7 @@ def test_each_vertex_is_one_pieces_own_and_they_follow_each_other(
         assert (places[part.global_indices] == part.mesh.vertices).all()
 
 
-def test_no_point_is_farther_than_it_is_said_to_be_at_most(
-    cut: ChunkedPly | InMemoryChunks, whole: Mesh
-) -> None:
+def test_distance_bounds_hold(cut: ChunkedPly | InMemoryChunks, whole: Mesh) -> None:
     low, high = compute_bounding_box(whole)
     points = np.random.default_rng(0).uniform(low - 1, high + 1, (500, 3))
     assert (

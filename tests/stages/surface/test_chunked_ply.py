@@ -1,4 +1,4 @@
-"""PLY files in pieces: as any PLY file, and piece by piece."""
+"""Chunked PLY files: valid PLY files that can also be read by chunks."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from scanloom.stages.surface.chunked_ply import (
 from scanloom.stages.surface.formats.ply import read_ply, write_ply
 from scanloom.stages.surface.mesh import Mesh
 
-# A strip of four triangles, the last two of the second piece.
+# A strip of four triangles; the last two are the second chunk.
 VERTICES = np.array([[x, y, 0.1 * x] for x in (0, 1, 2) for y in (0, 1)], float)
 TRIANGLES = np.array([[0, 2, 1], [1, 2, 3], [2, 4, 3], [3, 4, 5]], np.int32)
 COLORS = np.arange(18, dtype=np.uint8).reshape(6, 3)
@@ -32,7 +32,7 @@ def _any_mesh_is_large(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(chunked_ply, "MAX_IN_MEMORY_TRIANGLES", -1)
 
 
-def written(path: Path, *, colors: bool = True) -> Path:
+def write_chunks(path: Path, *, colors: bool = True) -> Path:
     parts = [
         WrittenChunk(
             VERTICES[slice(*s.vertices)],
@@ -46,14 +46,14 @@ def written(path: Path, *, colors: bool = True) -> Path:
 
 
 @pytest.mark.parametrize("colors", [True, False])
-def test_the_file_is_that_of_the_whole(colors: bool, tmp_path: Path) -> None:
-    path = written(tmp_path / "mesh.ply", colors=colors)
+def test_the_file_equals_an_ordinary_ply_file(colors: bool, tmp_path: Path) -> None:
+    path = write_chunks(tmp_path / "mesh.ply", colors=colors)
     write_ply(tmp_path / "whole.ply", Mesh(VERTICES, TRIANGLES, COLORS if colors else None))
     assert path.read_bytes() == (tmp_path / "whole.ply").read_bytes()
 
 
-def test_a_piece_has_the_vertices_it_names(tmp_path: Path) -> None:
-    found = ChunkedPly(written(tmp_path / "mesh.ply"))
+def test_a_chunk_has_the_vertices_it_uses(tmp_path: Path) -> None:
+    found = ChunkedPly(write_chunks(tmp_path / "mesh.ply"))
     assert (len(found), found.vertex_count, found.triangle_count, found.spacing) == (2, 6, 4, 1.0)
     first = found.read_chunk(0)
     assert first.own_count == 2
@@ -65,8 +65,8 @@ def test_a_piece_has_the_vertices_it_names(tmp_path: Path) -> None:
     assert (second.global_indices[second.mesh.triangles] == TRIANGLES[2:]).all()
 
 
-def test_what_does_not_fit_is_refused(tmp_path: Path) -> None:
-    path = written(tmp_path / "mesh.ply")
+def test_inconsistent_files_are_refused(tmp_path: Path) -> None:
+    path = write_chunks(tmp_path / "mesh.ply")
     whole = path.read_bytes()
     path.write_bytes(whole[:-1])
     with pytest.raises(InputError, match="damaged, or does not match"):
@@ -87,13 +87,13 @@ def test_what_does_not_fit_is_refused(tmp_path: Path) -> None:
             ChunkedPly(path)
 
 
-def test_a_mesh_that_is_not_large_has_no_table(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_small_mesh_has_no_chunk_table(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(chunked_ply, "MAX_IN_MEMORY_TRIANGLES", len(TRIANGLES))
-    assert not make_table_path(written(tmp_path / "mesh.ply")).exists()
+    assert not make_table_path(write_chunks(tmp_path / "mesh.ply")).exists()
     assert len(read_ply(tmp_path / "mesh.ply").triangles) == len(TRIANGLES)
 
 
-def test_no_pieces_are_an_empty_mesh(tmp_path: Path) -> None:
+def test_no_chunks_are_an_empty_mesh(tmp_path: Path) -> None:
     write_chunked_ply(tmp_path / "mesh.ply", [], [], has_colors=False, spacing=1.0)
     assert len(ChunkedPly(tmp_path / "mesh.ply")) == 0
     assert len(read_ply(tmp_path / "mesh.ply").triangles) == 0

@@ -12,7 +12,7 @@ from scanloom.stages.surface.edges import build_edges, label_components, step_to
 
 @pytest.mark.parametrize("dtypes", [(np.int32, np.int32), (np.int64, np.int32), (np.int64, np.int64)])
 @pytest.mark.parametrize("pair_count", [0, 300, 900])
-def test_components_are_those_of_scipy(pair_count: int, dtypes: tuple[type, type]) -> None:
+def test_components_agree_with_scipy(pair_count: int, dtypes: tuple[type, type]) -> None:
     a, b = np.random.default_rng(pair_count).integers(0, 1000, (2, pair_count))
     graph = csr_matrix((np.ones(pair_count, np.int8), (a, b)), shape=(1000, 1000))
     count, labels = connected_components(graph, directed=False)

@@ -1,4 +1,4 @@
-"""No writer of meshes writes a coordinate that is not finite, or leaves a file behind when it refuses."""
+"""No mesh writer writes non-finite coordinates or leaves a file when it refuses."""
 
 import dataclasses
 from collections.abc import Callable
@@ -38,8 +38,8 @@ FIELDS = ("vertices", "normals", "corner_normals", "uvs")
 SINGLE = (".glb", ".gltf", ".stl", ".usda", ".usdz")
 
 
-def whole_mesh() -> Mesh:
-    """Return a square of two triangles with all that a mesh can have."""
+def make_complete_mesh() -> Mesh:
+    """Make a square of two triangles with every attribute of a mesh."""
     vertices = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], float)
     image = Image(given=np.full((4, 4, 3), 99, np.uint8))
     return Mesh(
@@ -52,8 +52,8 @@ def whole_mesh() -> Mesh:
     )
 
 
-def with_value(mesh: Mesh, field: str, value: float) -> Mesh:
-    """Return the mesh with one number of a field replaced."""
+def replace_value(mesh: Mesh, field: str, value: float) -> Mesh:
+    """Replace one number of a field."""
     if field == "uvs":
         uvs = mesh.texture.uvs.copy()
         uvs.flat[-1] = value
@@ -63,15 +63,15 @@ def with_value(mesh: Mesh, field: str, value: float) -> Mesh:
     return mesh.with_(**{field: array})
 
 
-def require_usd_for(name: str) -> None:
+def skip_without_usd(name: str) -> None:
     if Path(name).suffix in (".usda", ".usdz"):
         pytest.importorskip("pxr")
 
 
 @pytest.mark.parametrize("name", WRITERS)
-def test_whole_mesh_is_written(tmp_path, name):
-    require_usd_for(name)
-    WRITERS[name](tmp_path / name, whole_mesh())
+def test_a_complete_mesh_is_written(tmp_path, name):
+    skip_without_usd(name)
+    WRITERS[name](tmp_path / name, make_complete_mesh())
     assert (tmp_path / name).stat().st_size > 0
 
 
@@ -79,17 +79,17 @@ def test_whole_mesh_is_written(tmp_path, name):
 @pytest.mark.parametrize("field", FIELDS)
 @pytest.mark.parametrize("name", WRITERS)
 def test_values_that_are_not_finite_are_not_written(tmp_path, name, field, value):
-    require_usd_for(name)
+    skip_without_usd(name)
     with pytest.raises(MeshError, match="not finite"):
-        WRITERS[name](tmp_path / name, with_value(whole_mesh(), field, value))
+        WRITERS[name](tmp_path / name, replace_value(make_complete_mesh(), field, value))
     assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize("field", FIELDS)
 @pytest.mark.parametrize("name", WRITERS)
-def test_numbers_beyond_single_precision_never_become_infinite(tmp_path, name, field):
-    require_usd_for(name)
-    mesh = with_value(whole_mesh(), field, 1e200)
+def test_numbers_beyond_single_precision_do_not_become_infinite(tmp_path, name, field):
+    skip_without_usd(name)
+    mesh = replace_value(make_complete_mesh(), field, 1e200)
     if Path(name).suffix in SINGLE and field != "uvs":
         with pytest.raises(MeshError, match="beyond single precision"):
             WRITERS[name](tmp_path / name, mesh)
@@ -100,7 +100,7 @@ def test_numbers_beyond_single_precision_never_become_infinite(tmp_path, name, f
 
 def test_the_message_names_the_file_and_the_vertex(tmp_path):
     with pytest.raises(MeshError) as caught:
-        write_mesh(tmp_path / "a.ply", with_value(whole_mesh(), "vertices", np.nan))
+        write_mesh(tmp_path / "a.ply", replace_value(make_complete_mesh(), "vertices", np.nan))
     assert str(caught.value) == (
         f"{tmp_path / 'a.ply'}: vertex 3 is [0.0, 1.0, nan], not finite (1 such); nothing is written. "
         "Remove or repair these first."
@@ -108,7 +108,7 @@ def test_the_message_names_the_file_and_the_vertex(tmp_path):
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf])
-def test_levels_and_tiles_refuse_them(tmp_path, value):
+def test_levels_and_tiles_refuse_non_finite_values(tmp_path, value):
     hierarchy = build(sheet(12))
     write_slod(tmp_path / "good.slod", hierarchy)
     vertices = hierarchy.vertices.copy()
@@ -121,11 +121,11 @@ def test_levels_and_tiles_refuse_them(tmp_path, value):
     assert [path.name for path in tmp_path.iterdir()] == ["good.slod"]
 
 
-def test_normal_meshes_refuse_them(tmp_path):
+def test_normal_meshes_refuse_non_finite_values(tmp_path):
     made = remesh(ball(), levels=1)
     made.save(tmp_path / "good.snm")
     bad = dataclasses.replace(
-        made, levels=(*made.levels[:-1], with_value(made.levels[-1], "vertices", np.nan))
+        made, levels=(*made.levels[:-1], replace_value(made.levels[-1], "vertices", np.nan))
     )
     for write in (bad.save, lambda path: bad.write(path.with_suffix(".ply"))):
         with pytest.raises(MeshError, match="not finite"):
@@ -133,7 +133,7 @@ def test_normal_meshes_refuse_them(tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["good.snm"]
 
 
-def test_pieces_refuse_them(tmp_path):
+def test_chunks_refuse_non_finite_values(tmp_path):
     piece = WrittenChunk(np.array([[0, 0, np.nan]]), None, np.zeros((0, 3), np.int32))
     with pytest.raises(MeshError, match="not finite"):
         write_ply_in_chunks(tmp_path / "a.ply", 1, 0, [piece], has_colors=False)
@@ -141,6 +141,6 @@ def test_pieces_refuse_them(tmp_path):
 
 
 @pytest.mark.parametrize("field", FIELDS)
-def test_they_do_not_enter_either(field):
+def test_validation_refuses_non_finite_values(field):
     with pytest.raises(MeshError, match="not finite"):
-        validate_mesh(with_value(whole_mesh(), field, np.nan))
+        validate_mesh(replace_value(make_complete_mesh(), field, np.nan))

@@ -1,4 +1,4 @@
-"""Minimum-area triangulations, against all triangulations of a loop."""
+"""Minimum-area triangulations, compared with all triangulations of a loop."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from scanloom.stages.surface.topology import compute_areas
 
 
 def _list_triangulations(first: int, last: int) -> Iterator[list[tuple[int, int, int]]]:
-    """Yield all triangulations of a chain of vertices that an edge closes."""
+    """Yield all triangulations of a chain of vertices whose ends are joined by an edge."""
     if last - first < 2:
         yield []
         return
@@ -24,7 +24,7 @@ def _list_triangulations(first: int, last: int) -> Iterator[list[tuple[int, int,
 
 
 def _find_smallest(points: np.ndarray, loop: np.ndarray, existing: set[tuple[int, int]]) -> float:
-    """Return the minimum area of the triangulations without existing edges; infinite if there is none."""
+    """Find the minimum area of triangulations without existing edges, or infinity."""
     count = len(loop)
     sides = {tuple(sorted((k, (k + 1) % count))) for k in range(count)}
     areas = [np.inf]

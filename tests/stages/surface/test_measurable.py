@@ -1,4 +1,4 @@
-"""What lies too far out for areas and volumes to be numbers is one sentence, whatever is asked."""
+"""Coordinates too large for areas and volumes give a one-sentence error in every operation."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ ASKED: dict[str, Callable[[Mesh], Any]] = {
 }
 
 
-def spiked(mesh: Mesh, far: float) -> Mesh:
+def add_spike(mesh: Mesh, far: float) -> Mesh:
     vertices = mesh.vertices.copy()
     vertices[7] = far
     return mesh.with_(vertices=vertices)
@@ -52,16 +52,16 @@ def spiked(mesh: Mesh, far: float) -> Mesh:
 
 @pytest.mark.parametrize("asked", ASKED)
 @pytest.mark.parametrize("far", [1e61, 1e154, -1e300])
-@pytest.mark.parametrize("change", [spiked, lambda mesh, far: mesh.with_(vertices=mesh.vertices * far)])
-def test_coordinates_beyond_measure_are_refused(asked: str, far: float, change: Any) -> None:
-    """`seams` fell over them, `compare` measured inf, and `clean` took away what overflowed."""
+@pytest.mark.parametrize("change", [add_spike, lambda mesh, far: mesh.with_(vertices=mesh.vertices * far)])
+def test_coordinates_that_overflow_are_refused(asked: str, far: float, change: Any) -> None:
+    """Formerly `seams` crashed, `compare` measured infinity, and `clean` removed such triangles."""
     with pytest.raises(MeshError, match=r"vertex \d+ .*beyond ±1e\+?60"):
         ASKED[asked](change(SMALL, far))
 
 
 @pytest.mark.parametrize("asked", ["seams", "bake", "to bake", "compare", "remesh"])
 @pytest.mark.parametrize("far", [1e31, 1e300])
-def test_texture_coordinates_beyond_measure_are_refused(asked: str, far: float) -> None:
+def test_texture_coordinates_that_overflow_are_refused(asked: str, far: float) -> None:
     texture = TEXTURED.texture
     assert texture is not None
     mesh = TEXTURED.with_(texture=replace(texture, uvs=texture.uvs * far))
@@ -69,7 +69,7 @@ def test_texture_coordinates_beyond_measure_are_refused(asked: str, far: float) 
         ASKED[asked](mesh)
 
 
-def test_texture_coordinates_too_small_to_weigh_are_said_to_be_so() -> None:
+def test_texture_coordinates_that_underflow_are_reported() -> None:
     texture = TEXTURED.texture
     assert texture is not None
     mesh = TEXTURED.with_(texture=replace(texture, uvs=texture.uvs * 1e-160))
@@ -78,5 +78,5 @@ def test_texture_coordinates_too_small_to_weigh_are_said_to_be_so() -> None:
 
 
 @pytest.mark.parametrize("asked", ["quadric", "seams", "clean", "certify"])
-def test_what_is_far_but_can_be_measured_is_taken(asked: str) -> None:
+def test_large_measurable_coordinates_are_accepted(asked: str) -> None:
     ASKED[asked](SMALL.with_(vertices=SMALL.vertices * 1e40))

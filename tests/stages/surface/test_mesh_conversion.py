@@ -1,4 +1,4 @@
-"""Conversions to and from Open3D and trimesh lose nothing the classes can hold."""
+"""Conversions to and from Open3D and trimesh keep everything that the classes can represent."""
 
 import subprocess
 import sys
@@ -28,7 +28,7 @@ def random_mesh(seed: int = 0, *, normals: bool = True) -> Mesh:
     )
 
 
-def textured(mesh: Mesh, images: int = 1) -> Mesh:
+def add_texture(mesh: Mesh, images: int = 1) -> Mesh:
     rng = np.random.default_rng(1)
     count = len(mesh.triangles)
     texture = Texture(
@@ -79,14 +79,14 @@ def test_a_mesh_without_triangles_survives(way):
 
 
 def test_texture_survives_open3d():
-    one = textured(random_mesh())
+    one = add_texture(random_mesh())
     assert_same(mesh_conversion.as_mesh(mesh_conversion.to_open3d(one)), one)
-    three = textured(random_mesh(), images=3)
+    three = add_texture(random_mesh(), images=3)
     assert_same(mesh_conversion.as_mesh(mesh_conversion.to_open3d_legacy(three)), three)
 
 
 def test_trimesh_keeps_each_corner_of_a_texture():
-    mesh = textured(random_mesh()).with_(colors=None)
+    mesh = add_texture(random_mesh()).with_(colors=None)
     back = mesh_conversion.as_mesh(mesh_conversion.to_trimesh(mesh))
     np.testing.assert_array_equal(back.vertices[back.triangles], mesh.vertices[mesh.triangles])
     np.testing.assert_array_equal(back.normals[back.triangles], mesh.normals[mesh.triangles])
@@ -94,7 +94,7 @@ def test_trimesh_keeps_each_corner_of_a_texture():
     np.testing.assert_array_equal(back.texture.images[0].pixels, mesh.texture.images[0].pixels)
 
 
-def test_open3d_finds_texture_rows_where_its_own_reader_puts_them(shared_data):
+def test_texture_rows_agree_with_the_open3d_reader(shared_data):
     from scanloom.stages._open3d import import_open3d
     from scanloom.stages.surface.formats.texture_files import read_texture
 
@@ -102,7 +102,7 @@ def test_open3d_finds_texture_rows_where_its_own_reader_puts_them(shared_data):
     image = read_texture(folder / "fuze.obj", "fuze uv.jpg").pixels
     read = import_open3d().io.read_triangle_mesh(str(folder / "fuze.obj"), True)
     np.testing.assert_array_equal(mesh_conversion.as_mesh(read).texture.images[0].pixels, image)
-    # Before 0.20 its tensor reader leaves textures of OBJ files out.
+    # Before 0.20, Open3D's tensor reader ignores textures of OBJ files.
     if tuple(map(int, import_open3d().__version__.split(".")[:2])) < (0, 20):
         return
     read = import_open3d().t.io.read_triangle_mesh(str(folder / "fuze.obj"))
@@ -144,7 +144,7 @@ def test_pairs_of_arrays():
         ),
     ],
 )
-def test_what_is_no_mesh_is_refused(data, sentence):
+def test_objects_that_are_not_meshes_are_refused(data, sentence):
     with pytest.raises(MeshError, match=sentence):
         mesh_conversion.as_mesh(data)
 
@@ -160,7 +160,7 @@ def test_nothing_heavy_is_imported_for_a_mesh():
 
 def test_vertex_colors_from_texture_read_pixel_centres():
     image = np.array([[[10, 0, 0], [20, 0, 0]], [[30, 0, 0], [40, 0, 0]]], np.uint8)
-    # Centres of the upper left, upper right and lower left pixel, then the middle of the image.
+    # Centres of the upper left, upper right and lower left pixel, then the centre of the image.
     uvs = np.array([[[0.25, 0.75], [0.75, 0.75], [0.25, 0.25]], [[0.5, 0.5], [0.5, 0.5], [1.25, -0.25]]])
     mesh = Mesh(
         np.eye(7)[:, :3],
@@ -172,8 +172,8 @@ def test_vertex_colors_from_texture_read_pixel_centres():
     assert colored.colors[:, 0].tolist() == [10, 20, 30, 25, 25, 10, 128]
 
 
-def test_vertex_colors_keep_what_has_no_texture():
-    mesh = textured(random_mesh())
+def test_vertices_without_texture_keep_their_colours():
+    mesh = add_texture(random_mesh())
     texture = Texture(mesh.texture.uvs, np.full(len(mesh.triangles), -1, np.int32), mesh.texture.materials)
     np.testing.assert_array_equal(
         mesh_conversion.bake_vertex_colors(mesh.with_(texture=texture)).colors, mesh.colors
@@ -182,7 +182,7 @@ def test_vertex_colors_keep_what_has_no_texture():
     assert mesh_conversion.bake_vertex_colors(plain) is plain
 
 
-def test_colors_of_faces_are_told():
+def test_face_colours_are_reported():
     import trimesh
 
     mesh = trimesh.creation.box()
@@ -192,8 +192,8 @@ def test_colors_of_faces_are_told():
     assert str(converted.diagnostics[0]).startswith("mesh: face colours are left out")
 
 
-def converted(way, mesh: Mesh) -> tuple[Mesh, str]:
-    """Return a mesh after a round trip, and the text of the warning about losses."""
+def convert_and_back(way, mesh: Mesh) -> tuple[Mesh, str]:
+    """Convert a mesh and back; return the text of the warning about losses as well."""
     with collecting() as found:
         back = mesh_conversion.as_mesh(way(mesh))
     losses = [str(one) for one in found if one.code == MESH_CONVERSION_LOSS.name]
@@ -210,7 +210,7 @@ def test_a_loss_that_nobody_collects_is_a_python_warning():
 
 
 def assert_same_texture(back: Texture | None, given: Texture | None, *, exact: bool) -> None:
-    """Assert that each triangle has its coordinates, image and colour again; `exact`: also tints."""
+    """Check that each triangle has its coordinates, image and colour; with `exact` also tints."""
     if given is None:
         assert back is None
         return
@@ -231,8 +231,8 @@ def assert_same_texture(back: Texture | None, given: Texture | None, *, exact: b
 
 @given(varied_meshes())
 @settings(max_examples=150, deadline=None)
-def test_trimesh_holds_all_of_any_mesh(mesh):
-    back, loss = converted(mesh_conversion.to_trimesh, mesh)
+def test_trimesh_keeps_all_attributes(mesh):
+    back, loss = convert_and_back(mesh_conversion.to_trimesh, mesh)
     assert loss == ""
     for name in ("vertices", "triangles", "colors", "normals", "corner_normals", "part_ids"):
         np.testing.assert_array_equal(getattr(back, name), getattr(mesh, name), err_msg=name)
@@ -246,8 +246,8 @@ def test_trimesh_holds_all_of_any_mesh(mesh):
 
 @given(varied_meshes())
 @settings(max_examples=100, deadline=None)
-def test_open3d_holds_all_but_names_and_the_up_direction(mesh):
-    back, loss = converted(mesh_conversion.to_open3d, mesh)
+def test_open3d_keeps_all_except_names_and_up_direction(mesh):
+    back, loss = convert_and_back(mesh_conversion.to_open3d, mesh)
     assert_same(back.with_(texture=None), mesh.with_(texture=None))
     np.testing.assert_array_equal(back.corner_normals, mesh.corner_normals)
     np.testing.assert_array_equal(back.part_ids, mesh.part_ids)
@@ -258,8 +258,8 @@ def test_open3d_holds_all_but_names_and_the_up_direction(mesh):
 
 @given(varied_meshes())
 @settings(max_examples=100, deadline=None)
-def test_open3d_legacy_holds_shape_colours_and_images(mesh):
-    back, loss = converted(mesh_conversion.to_open3d_legacy, mesh)
+def test_open3d_legacy_keeps_shape_colours_and_images(mesh):
+    back, loss = convert_and_back(mesh_conversion.to_open3d_legacy, mesh)
     assert_same(back.with_(texture=None), mesh.with_(texture=None))
     assert ("corner normals" in loss) == (mesh.corner_normals is not None)
     assert ("parts" in loss) == (mesh.part_ids is not None)
@@ -268,10 +268,10 @@ def test_open3d_legacy_holds_shape_colours_and_images(mesh):
 
 
 @pytest.mark.parametrize("way", WAYS)
-def test_colours_seen_through_materials_survive(way):
-    # An image times a base colour, a colour alone, an untextured part, as any viewer would show them.
+def test_visible_colours_of_materials_are_kept(way):
+    # An image times a base colour, a base colour alone, and an untextured part, like in any viewer.
     rng = np.random.default_rng(3)
-    mesh = textured(random_mesh(normals=False), images=2)
+    mesh = add_texture(random_mesh(normals=False), images=2)
     image = mesh.texture.images[0]
     materials = (
         Material(image=image, base_color=(0.2, 0.6, 1.0, 1.0)),
@@ -281,8 +281,8 @@ def test_colours_seen_through_materials_survive(way):
     mesh = mesh.with_(colors=None, texture=Texture(mesh.texture.uvs, ids, materials))
     triangles = np.arange(len(mesh.triangles))
     weights = rng.dirichlet((1, 1, 1), len(triangles))
-    back, _ = converted(way, mesh)
-    # The legacy class multiplies before it interpolates between the pixels.
+    back, _ = convert_and_back(way, mesh)
+    # The legacy class multiplies before interpolating between pixels.
     tolerance = 6.0 if way is mesh_conversion.to_open3d_legacy else 0.01
     expected = compute_surface_colors(mesh, triangles, weights)
     np.testing.assert_allclose(compute_surface_colors(back, triangles, weights), expected, atol=tolerance)
@@ -296,12 +296,12 @@ def test_colours_seen_through_materials_survive(way):
         (mesh_conversion.to_trimesh, ()),
     ],
 )
-def test_what_else_materials_say_is_kept_or_reported(way, lost):
-    mesh = textured(random_mesh())
+def test_other_material_properties_are_kept_or_reported(way, lost):
+    mesh = add_texture(random_mesh())
     image = mesh.texture.images[0]
     told = Material("wood", image, wrap=("clamp", "mirror"), kept={"metallic": 0.5})
     mesh = mesh.with_(texture=Texture(mesh.texture.uvs, mesh.texture.material_ids, (told,)))
-    back, loss = converted(way, mesh)
+    back, loss = convert_and_back(way, mesh)
     assert all(name in loss for name in lost)
     if not lost:
         assert loss == ""
@@ -311,7 +311,7 @@ def test_what_else_materials_say_is_kept_or_reported(way, lost):
 
 def test_legacy_images_keep_their_material_behind_an_empty_one():
     # Open3D's OBJ reader gives an empty image to a material without one.
-    mesh = textured(random_mesh(), images=2)
+    mesh = add_texture(random_mesh(), images=2)
     bare = (Material(), mesh.texture.materials[1])
     mesh = mesh.with_(texture=Texture(mesh.texture.uvs, mesh.texture.material_ids, bare))
     back = mesh_conversion.as_mesh(mesh_conversion.to_open3d_legacy(mesh))
@@ -324,7 +324,7 @@ def test_legacy_images_keep_their_material_behind_an_empty_one():
 
 
 def test_trimesh_seams_stay_open_where_a_copy_was_moved():
-    mesh = textured(random_mesh(normals=False)).with_(colors=None)
+    mesh = add_texture(random_mesh(normals=False)).with_(colors=None)
     other = mesh_conversion.to_trimesh(mesh)
     moved = np.array(other.vertices)
     moved[0] += 1
@@ -333,7 +333,7 @@ def test_trimesh_seams_stay_open_where_a_copy_was_moved():
     np.testing.assert_array_equal(back.vertices, moved)
 
 
-def test_trimesh_attributes_of_others_are_no_parts():
+def test_foreign_trimesh_attributes_are_not_parts():
     import trimesh
 
     box = trimesh.creation.box()
@@ -344,11 +344,11 @@ def test_trimesh_attributes_of_others_are_no_parts():
     assert back.up is None
 
 
-def test_colours_and_materials_that_trimesh_reads_come_along(tmp_path):
+def test_colours_and_materials_read_by_trimesh_are_converted(tmp_path):
     import trimesh
 
-    # A GLB file of trimesh's own: a colour for each vertex beside a texture, and a material without an image.
-    mesh = textured(random_mesh(normals=False))
+    # A GLB file written by trimesh: vertex colours together with a texture, and a material without image.
+    mesh = add_texture(random_mesh(normals=False))
     mesh_conversion.to_trimesh(mesh).export(tmp_path / "both.glb")
     (read,) = trimesh.load_scene(tmp_path / "both.glb", process=False).geometry.values()
     assert mesh_conversion.as_mesh(read).colors is not None
@@ -361,7 +361,7 @@ def test_colours_and_materials_that_trimesh_reads_come_along(tmp_path):
     assert (texture.material_ids == 0).all()
 
 
-def test_trimesh_images_beside_the_base_colour_are_reported():
+def test_additional_trimesh_images_are_reported():
     import trimesh
     from PIL.Image import fromarray
 

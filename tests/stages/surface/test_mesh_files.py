@@ -1,4 +1,4 @@
-"""Meshes of all formats, and the sentences for files that are none."""
+"""Meshes of all formats, and one-sentence errors for unusable files."""
 
 import json
 import struct
@@ -18,7 +18,7 @@ from scanloom.stages.surface.topology import topology
 WRITABLE = (".ply", ".obj", ".off", ".stl", ".glb", ".gltf")
 
 
-def cube() -> Mesh:
+def make_cube() -> Mesh:
     corners = np.stack(np.meshgrid([0, 1], [0, 1], [0, 1], indexing="ij"), -1).reshape(-1, 3) + 0.125
     triangles = [(0, 1, 3), (0, 3, 2), (4, 6, 7), (4, 7, 5), (0, 4, 5), (0, 5, 1),
                  (2, 3, 7), (2, 7, 6), (0, 2, 6), (0, 6, 4), (1, 5, 7), (1, 7, 3)]  # fmt: skip
@@ -26,7 +26,7 @@ def cube() -> Mesh:
     return Mesh(corners, np.array(triangles, np.int32), rng.integers(0, 256, (8, 3)).astype(np.uint8))
 
 
-def textured(mesh: Mesh, images: int = 1) -> Mesh:
+def add_texture(mesh: Mesh, images: int = 1) -> Mesh:
     rng = np.random.default_rng(1)
     count = len(mesh.triangles)
     pictures = [rng.integers(0, 256, (8, 16, 3)).astype(np.uint8) for _ in range(images)]
@@ -36,8 +36,8 @@ def textured(mesh: Mesh, images: int = 1) -> Mesh:
 
 
 @pytest.mark.parametrize("extension", WRITABLE)
-def test_shape_and_colors_come_back(tmp_path, extension):
-    mesh = cube()
+def test_shape_and_colours_are_read_back(tmp_path, extension):
+    mesh = make_cube()
     path = tmp_path / f"a b{extension}"
     write_mesh(path, mesh)
     back = read_mesh(path)
@@ -50,15 +50,15 @@ def test_shape_and_colors_come_back(tmp_path, extension):
     assert sorted(p.name for p in tmp_path.iterdir()) == [*beside, path.name]
 
 
-def test_capital_extensions(tmp_path):
-    write_mesh(tmp_path / "MESH.PLY", cube())
+def test_upper_case_extensions(tmp_path):
+    write_mesh(tmp_path / "MESH.PLY", make_cube())
     assert len(read_mesh(tmp_path / "MESH.PLY").triangles) == 12
 
 
 @pytest.mark.parametrize("images", [1, 3])
 @pytest.mark.parametrize("normals", [True, False])
 def test_obj_keeps_everything(tmp_path, images, normals):
-    mesh = textured(cube(), images)
+    mesh = add_texture(make_cube(), images)
     rng = np.random.default_rng(2)
     mesh = mesh.with_(vertices=rng.normal(size=(8, 3)), normals=rng.normal(size=(8, 3)) if normals else None)
     write_mesh(tmp_path / "mesh.obj", mesh)
@@ -77,27 +77,27 @@ def test_obj_keeps_everything(tmp_path, images, normals):
 def test_trimesh_reads_our_obj(tmp_path):
     import trimesh
 
-    write_mesh(tmp_path / "mesh.obj", textured(cube().with_(colors=None)))
+    write_mesh(tmp_path / "mesh.obj", add_texture(make_cube().with_(colors=None)))
     theirs = trimesh.load(tmp_path / "mesh.obj", process=False)
     assert theirs.volume == pytest.approx(1)
     assert theirs.visual.material.image.size == (16, 8)
 
 
 def test_glb_keeps_one_texture(tmp_path):
-    mesh = textured(cube().with_(colors=None))
+    mesh = add_texture(make_cube().with_(colors=None))
     write_mesh(tmp_path / "mesh.glb", mesh)
     back = read_mesh(tmp_path / "mesh.glb")
     np.testing.assert_allclose(back.texture.uvs, mesh.texture.uvs, atol=1e-6)
     np.testing.assert_array_equal(back.texture.images[0].pixels, mesh.texture.images[0].pixels)
-    assert len(back.vertices) == 8  # seams are not torn
+    assert len(back.vertices) == 8  # seams are not cut open
 
 
-def test_writing_other_formats_is_wrong_usage(tmp_path):
+def test_writing_other_formats_is_a_usage_error(tmp_path):
     with pytest.raises(UsageError, match=r"\.xyz"):
-        write_mesh(tmp_path / "mesh.xyz", cube())
+        write_mesh(tmp_path / "mesh.xyz", make_cube())
 
 
-def test_scenes_are_joined_where_they_are_placed(tmp_path):
+def test_scene_instances_are_joined_in_their_poses(tmp_path):
     import trimesh
 
     scene = trimesh.Scene()
@@ -144,7 +144,7 @@ def test_all_real_meshes_can_be_read(shared_data):
         assert len(mesh.triangles) > 0
 
 
-def write(tmp_path, name: str, data: bytes):
+def write_file(tmp_path, name: str, data: bytes):
     (tmp_path / name).write_bytes(data)
     return tmp_path / name
 
@@ -182,8 +182,8 @@ def write(tmp_path, name: str, data: bytes):
         ("a.gltf", b"{" * 5000, "not a valid glTF"),
     ],
 )
-def test_files_that_are_no_mesh(tmp_path, name, data, sentence):
-    path = write(tmp_path, name, data)
+def test_files_that_are_not_meshes(tmp_path, name, data, sentence):
+    path = write_file(tmp_path, name, data)
     with pytest.raises(InputError, match=sentence) as caught:
         read_mesh(path)
     assert str(path) in str(caught.value)
@@ -198,7 +198,7 @@ def test_missing_files(tmp_path):
 
 
 @pytest.mark.parametrize("accessor", [{"count": 10**12}, {"count": -1}, {"count": "many"}, {}])
-def test_gltf_that_promises_too_much(tmp_path, accessor):
+def test_gltf_with_excessive_counts(tmp_path, accessor):
     tree = {
         "asset": {"version": "2.0"},
         "buffers": [{"byteLength": 36, "uri": "data:application/octet-stream;base64," + "A" * 48}],
@@ -207,7 +207,7 @@ def test_gltf_that_promises_too_much(tmp_path, accessor):
         "nodes": [{"mesh": 0}],
         "scenes": [{"nodes": [0]}],
     }
-    path = write(tmp_path, "made.gltf", json.dumps(tree).encode())
+    path = write_file(tmp_path, "made.gltf", json.dumps(tree).encode())
     with pytest.raises(InputError, match=r"made\.gltf"):
         read_mesh(path)
 
@@ -220,17 +220,17 @@ def test_index_out_of_range_is_a_mesh_error(shared_data):
 @pytest.mark.parametrize("extension", WRITABLE)
 @settings(max_examples=60, deadline=None)
 @given(data=st.data())
-def test_damaged_bytes_give_a_mesh_or_a_sentence(tmp_path_factory, extension, data):
+def test_damaged_bytes_give_a_mesh_or_an_error(tmp_path_factory, extension, data):
     folder = tmp_path_factory.getbasetemp()
     sound = folder / f"sound{extension}"
     if not sound.exists():
-        write_mesh(sound, textured(cube().with_(colors=None)))
+        write_mesh(sound, add_texture(make_cube().with_(colors=None)))
     content = bytearray(sound.read_bytes())
     for _ in range(data.draw(st.integers(1, 4))):
         at = data.draw(st.integers(0, len(content) - 1))
         content[at : at + data.draw(st.integers(0, 8))] = data.draw(st.binary(max_size=8))
         content = content or bytearray(1)
-    path = write(folder, f"damaged{extension}", bytes(content))
+    path = write_file(folder, f"damaged{extension}", bytes(content))
     try:
         mesh = read_mesh(path)
     except InputError:
@@ -240,9 +240,9 @@ def test_damaged_bytes_give_a_mesh_or_a_sentence(tmp_path_factory, extension, da
 
 
 def test_libraries_are_quiet(tmp_path, caplog):
-    # trimesh logs a traceback for the normal it cannot parse, and goes on without it.
+    # trimesh logs a traceback for a normal that it cannot parse, then continues without it.
     corners = b"outer loop\nvertex 0 0 0\nvertex 1 0 0\nvertex 0 1 0\nendloop\nendfacet\nendsolid a\n"
-    path = write(tmp_path, "a.stl", b"solid a\nfacet normal 0 0 x\n" + corners)
+    path = write_file(tmp_path, "a.stl", b"solid a\nfacet normal 0 0 x\n" + corners)
     assert len(read_mesh(path).triangles) == 1
     assert not caplog.records
 
@@ -254,14 +254,14 @@ def test_a_material_file_whose_name_has_a_zero_byte_counts_as_missing(tmp_path):
 
 
 @pytest.mark.parametrize("extension", [".ply", ".obj", ".off", ".stl", ".glb"])
-def test_a_mesh_of_nothing_is_written_in_every_format(tmp_path, extension):
+def test_an_empty_mesh_is_written_in_every_format(tmp_path, extension):
     nothing = Mesh(np.zeros((0, 3)), np.zeros((0, 3), np.int32), normals=np.zeros((0, 3)))
     write_mesh(tmp_path / f"nothing{extension}", nothing)
     with pytest.raises(InputError, match="holds no"):
         read_mesh(tmp_path / f"nothing{extension}")
 
 
-def _messages_of(tmp_path, name, text):
+def _read_messages(tmp_path, name, text):
     path = tmp_path / name
     path.write_text(text)
     mesh = read_mesh(path)
@@ -269,15 +269,15 @@ def _messages_of(tmp_path, name, text):
     return tuple(one.message for one in mesh.diagnostics)
 
 
-def test_what_a_reader_passes_over_is_told(tmp_path):
+def test_ignored_content_is_reported(tmp_path):
     triangle = "v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"
-    assert _messages_of(tmp_path, "a.obj", triangle) == ()
-    assert _messages_of(tmp_path, "b.obj", triangle + "l 1 2\np 3\n") == ("lines and points are left out",)
+    assert _read_messages(tmp_path, "a.obj", triangle) == ()
+    assert _read_messages(tmp_path, "b.obj", triangle + "l 1 2\np 3\n") == ("lines and points are left out",)
     head = "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\n"
     more = "property float quality\nproperty float confidence\nelement face 1\n"
     faces = "property list uchar int vertex_indices\nproperty int label\nelement edge 1\nproperty int a\n"
     rows = "end_header\n0 0 0 1 1\n1 0 0 1 1\n0 1 0 1 1\n3 0 1 2 7\n5\n"
-    assert _messages_of(tmp_path, "a.ply", head + more + faces + rows) == (
+    assert _read_messages(tmp_path, "a.ply", head + more + faces + rows) == (
         "the vertex confidence is left out: only remesh uses it",
         "properties of its vertices are left out: quality",
         "properties of its faces are left out: label",
@@ -286,30 +286,30 @@ def test_what_a_reader_passes_over_is_told(tmp_path):
     rows = "vertex {0} 0 0\nvertex {1} 0 0\nvertex 0 {1} 0\n"
     facet = f"facet normal 0 0 1\nouter loop\n{rows}endloop\nendfacet\n"
     solids = "".join(f"solid s{i}\n{facet.format(i, i + 1)}endsolid s{i}\n" for i in range(2))
-    assert _messages_of(tmp_path, "a.stl", solids) == (
+    assert _read_messages(tmp_path, "a.stl", solids) == (
         "the names of its 2 solids are left out: they become one mesh",
     )
 
 
-def test_numbers_behind_the_rows_of_an_off_file_are_told(tmp_path):
+def test_extra_numbers_in_an_off_file_are_reported(tmp_path):
     plain = "OFF # one\n\n3 1 0\n0 0 0\n1 0 0 # b\n0 1 0\n3 0 1 2\n"
-    assert _messages_of(tmp_path, "a.off", plain) == ()
-    assert _messages_of(tmp_path, "b.off", plain.replace("1 2\n", "1 2 255 0 0\n")) == (
+    assert _read_messages(tmp_path, "a.off", plain) == ()
+    assert _read_messages(tmp_path, "b.off", plain.replace("1 2\n", "1 2 255 0 0\n")) == (
         "additional numbers of its faces, such as colours, are left out",
     )
-    assert _messages_of(tmp_path, "c.off", "C" + plain.replace("0 1 0\n", "0 1 0 9 9 9 255\n")) == (
+    assert _read_messages(tmp_path, "c.off", "C" + plain.replace("0 1 0\n", "0 1 0 9 9 9 255\n")) == (
         "additional numbers of its vertices, such as colours, are left out",
     )
 
 
-def test_off_in_its_binary_form_is_not_called_damaged(tmp_path):
+def test_binary_off_is_not_reported_as_damaged(tmp_path):
     (tmp_path / "a.off").write_bytes(b"OFF BINARY\n" + struct.pack(">3i", 0, 0, 0))
     with pytest.raises(InputError, match=r"a\.off: is binary OFF, which is not supported"):
         read_mesh(tmp_path / "a.off")
 
 
-def test_numbers_beside_the_triangles_of_a_binary_stl_are_told(tmp_path):
-    write_mesh(tmp_path / "plain.stl", cube())
+def test_attributes_of_a_binary_stl_are_reported(tmp_path):
+    write_mesh(tmp_path / "plain.stl", make_cube())
     data = bytearray((tmp_path / "plain.stl").read_bytes())
     assert read_mesh(tmp_path / "plain.stl").diagnostics == ()
     data[84 + 48 : 84 + 50] = (31).to_bytes(2, "little")
@@ -319,8 +319,8 @@ def test_numbers_beside_the_triangles_of_a_binary_stl_are_told(tmp_path):
     ]
 
 
-def test_what_a_format_of_the_shape_alone_loses():
-    mesh = cube()
+def test_losses_of_shape_only_formats():
+    mesh = make_cube()
     rest = mesh.with_(part_ids=np.zeros(12, np.int32), part_names=("cube",))
     normals = np.broadcast_to((0.0, 0.0, 1.0), (12, 3, 3))
     assert list_unsupported_data(".ply", rest) == ""

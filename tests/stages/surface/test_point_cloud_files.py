@@ -1,4 +1,4 @@
-"""Clouds from files: the same points from every format, and a sentence for whatever is wrong with one."""
+"""Point clouds from files: the same points from every format, and one-sentence errors."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def made() -> Mesh:
 
 
 @pytest.mark.parametrize("name", ["a.ply", "a.las", "a.LAZ", "a.e57"])
-def test_points_and_colours_come_back(name: str, made: Mesh, tmp_path: Path) -> None:
+def test_points_and_colours_are_read_back(name: str, made: Mesh, tmp_path: Path) -> None:
     path = write_cloud(tmp_path / name.lower(), made, FAR).rename(tmp_path / name)
     read = read_cloud(path)
     assert len(read.triangles) == 0
@@ -41,7 +41,7 @@ def test_points_and_colours_come_back(name: str, made: Mesh, tmp_path: Path) -> 
     np.testing.assert_array_equal(read_mesh_or_cloud(path).vertices, read.vertices)
 
 
-def test_what_las_says_of_its_points_counts(made: Mesh, tmp_path: Path) -> None:
+def test_flags_of_las_points_are_respected(made: Mesh, tmp_path: Path) -> None:
     data = make_las(made.with_(colors=None), FAR, point_format=3)
     withheld = np.zeros(len(data.x), bool)
     withheld[5:12] = True
@@ -54,7 +54,7 @@ def test_what_las_says_of_its_points_counts(made: Mesh, tmp_path: Path) -> None:
     assert any("all of them are 0" in one.message for one in read.diagnostics)
 
 
-def test_colours_of_8_bits_and_coordinates_in_feet_are_known(made: Mesh, tmp_path: Path) -> None:
+def test_8_bit_colours_and_coordinates_in_feet_are_converted(made: Mesh, tmp_path: Path) -> None:
     from laspy.vlrs.known import WktCoordinateSystemVlr
 
     data = make_las(made, FAR)
@@ -66,8 +66,8 @@ def test_colours_of_8_bits_and_coordinates_in_feet_are_known(made: Mesh, tmp_pat
     assert any("in feet" in one.message for one in read.diagnostics)
 
 
-def test_e57_in_directions_and_distances(tmp_path: Path) -> None:
-    """Two scans with poses, the first of directions; what was not measured is left out."""
+def test_e57_in_spherical_coordinates(tmp_path: Path) -> None:
+    """Two scans with poses, the first in spherical coordinates; invalid points are skipped."""
     import pye57
     from pye57 import libe57
 
@@ -80,7 +80,7 @@ def test_e57_in_directions_and_distances(tmp_path: Path) -> None:
         points.set(names[0], libe57.ScaledIntegerNode(image, 0, 0, 2**30, 1e-7, 0.5))
         for name in names[1:]:
             points.set(name, libe57.FloatNode(image, 0.0, libe57.E57_DOUBLE, -1e9, 1e9))
-        # Half of a quarter turn around x, and its numbers in another order than is usual.
+        # A rotation by 90° around x, with fields in an unusual order.
         half = np.sqrt(0.5)
         pose = libe57.StructureNode(image)
         for name, numbers in (
@@ -115,15 +115,15 @@ def test_e57_in_directions_and_distances(tmp_path: Path) -> None:
     assert any("4 points are left out" in one.message for one in read.diagnostics)
 
 
-def test_a_mesh_gives_its_vertices_and_stays_one_where_either_may_be(tmp_path: Path) -> None:
+def test_a_mesh_is_read_as_cloud_or_mesh(tmp_path: Path) -> None:
     triangle = Mesh(np.eye(3), np.array([[0, 1, 2]], np.int32))
     write_ply(tmp_path / "a.ply", triangle)
     assert len(read_cloud(tmp_path / "a.ply").triangles) == 0
     assert len(read_mesh_or_cloud(tmp_path / "a.ply").triangles) == 1
 
 
-def damaged(data: bytearray, how: str) -> bytes:
-    """Return the bytes of a file, damaged: its numbers of points are at 107, and at 247 since version 1.4."""
+def damage_las(data: bytearray, how: str) -> bytes:
+    """Damage a LAS file; its point counts are at byte 107, and since version 1.4 at byte 247."""
     if how == "cut":
         return bytes(data[: len(data) // 2])
     if how == "cut within the header":
@@ -151,20 +151,20 @@ CASES = [
 @pytest.mark.parametrize(("name", "how"), CASES)
 def test_a_damaged_file_is_one_sentence(name: str, how: str, made: Mesh, tmp_path: Path) -> None:
     path = write_cloud(tmp_path / name, made, FAR)
-    path.write_bytes(damaged(bytearray(path.read_bytes()), how))
+    path.write_bytes(damage_las(bytearray(path.read_bytes()), how))
     with pytest.raises(InputError, match=r"damaged|declare|cut short|does not start with") as caught:
         read_cloud(path)
     assert str(caught.value).startswith(f"{path}: ")
     assert "\n" not in str(caught.value)
 
 
-def test_damage_that_has_no_check_sum_is_seen_by_where_points_are(made: Mesh, tmp_path: Path) -> None:
+def test_damage_without_checksum_is_detected_by_the_bounds(made: Mesh, tmp_path: Path) -> None:
     path = write_cloud(tmp_path / "a.las", made, FAR)
-    path.write_bytes(damaged(bytearray(path.read_bytes()), "noise"))
+    path.write_bytes(damage_las(bytearray(path.read_bytes()), "noise"))
     assert any("file may be damaged" in one.message for one in read_cloud(path).diagnostics)
 
 
-def test_what_is_missing_or_no_cloud_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_missing_and_unsupported_files_are_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with pytest.raises(InputError, match="No such file"):
         read_cloud(tmp_path / "a.las")
     (tmp_path / "b.las").mkdir()

@@ -4,8 +4,8 @@ import pytest
 from scanloom.stages.surface.rasterization import rasterize_triangles
 
 
-def fan(count: int = 9, seed: int = 0) -> np.ndarray:
-    """Triangles around a point that fill a polygon within 64 × 64 pixels, (m, 3, 2)."""
+def make_fan(count: int = 9, seed: int = 0) -> np.ndarray:
+    """Make triangles (m, 3, 2) around a point that fill a polygon within 64 × 64 pixels."""
     rng = np.random.default_rng(seed)
     angles = np.sort(rng.random(count)) * 2 * np.pi
     rim = 32 + 30 * np.stack([np.cos(angles), np.sin(angles)], axis=1)
@@ -22,8 +22,8 @@ def is_inside(corners: np.ndarray, points: np.ndarray) -> np.ndarray:
     return (sides > 0).all(axis=0) | (sides < 0).all(axis=0)
 
 
-def test_pixels_are_those_whose_centres_lie_inside():
-    triangles = fan()
+def test_pixels_have_their_centres_inside():
+    triangles = make_fan()
     found = rasterize_triangles(triangles, (0, 64), 64)
     y, x = np.mgrid[0:64, 0:64].reshape(2, -1)
     for number, corners in enumerate(triangles):
@@ -34,8 +34,8 @@ def test_pixels_are_those_whose_centres_lie_inside():
         )
 
 
-def test_weights_lead_back_to_the_centre():
-    triangles = fan()
+def test_weights_reproduce_the_pixel_centre():
+    triangles = make_fan()
     found = rasterize_triangles(triangles, (0, 64), 64)
     places = np.einsum("kc,kcx->kx", found.weights, triangles[found.triangles])
     assert places == pytest.approx(np.stack([found.columns, found.rows], axis=1) + 0.5, abs=1e-9)
@@ -43,8 +43,8 @@ def test_weights_lead_back_to_the_centre():
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_neighbours_share_no_pixel_and_leave_none_out(seed):
-    # All corners and edges go through pixel centres, where each must fall to one triangle.
+def test_neighbours_neither_share_nor_miss_pixels(seed):
+    # All corners and edges pass through pixel centres, and each centre must belong to exactly one triangle.
     grid = np.stack(np.meshgrid(np.arange(9), np.arange(9)), axis=-1) * 4 + 0.5
     a, b, c, d = grid[:-1, :-1], grid[:-1, 1:], grid[1:, 1:], grid[1:, :-1]
     turned = np.random.default_rng(seed).random((8, 8, 1)) < 0.5
@@ -57,8 +57,8 @@ def test_neighbours_share_no_pixel_and_leave_none_out(seed):
     assert counts.sum() == 32 * 32
 
 
-def test_strips_of_rows_make_the_whole():
-    triangles = fan()
+def test_rasterizing_by_strips_equals_rasterizing_at_once():
+    triangles = make_fan()
     whole = rasterize_triangles(triangles, (0, 64), 64)
     parts = [rasterize_triangles(triangles, rows, 64) for rows in ((0, 20), (20, 21), (21, 64))]
     pixels = {(r, c, t) for p in parts for r, c, t in zip(p.rows, p.columns, p.triangles, strict=True)}

@@ -1,4 +1,4 @@
-"""Large meshes in random order: worked on in an order of their own, given back in the caller's."""
+"""Large meshes in random order are processed in spatial order, and results use the original indices."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ N = 330
 
 @pytest.fixture(scope="module")
 def sheet() -> Mesh:
-    """A wavy, coloured sheet, row by row."""
+    """Make a wavy, coloured sheet in row order."""
     y, x = np.mgrid[0:N, 0:N].astype(float)
     vertices = np.stack([x, y, 2 * np.sin(x / 9) * np.cos(y / 7)], -1).reshape(-1, 3)
     a = (np.arange(N - 1)[:, None] * N + np.arange(N - 1)).ravel()
@@ -31,29 +31,29 @@ def scattered(sheet) -> Mesh:
     )
 
 
-def places(mesh: Mesh) -> np.ndarray:
+def get_corners(mesh: Mesh) -> np.ndarray:
     return mesh.vertices[mesh.triangles]
 
 
-def test_rows_are_told_from_random_order(sheet, scattered):
+def test_row_order_is_distinguished_from_random_order(sheet, scattered):
     assert not is_scattered(sheet)
     assert is_scattered(scattered)
     assert not is_scattered(reorder_spatially(scattered).mesh)
     assert not is_scattered(Mesh(np.zeros((0, 3)), np.zeros((0, 3), np.int32)))
 
 
-def test_an_order_names_every_row_once(scattered):
+def test_an_order_contains_every_index_once(scattered):
     order = reorder_spatially(scattered)
     assert np.array_equal(order.mesh.vertices, scattered.vertices[order.vertex_source])
     assert np.array_equal(order.mesh.colors, scattered.colors[order.vertex_source])
-    assert np.array_equal(places(order.mesh), places(scattered)[order.triangle_source])
+    assert np.array_equal(get_corners(order.mesh), get_corners(scattered)[order.triangle_source])
     back = permute_rows(order.mesh, np.argsort(order.vertex_source), np.argsort(order.triangle_source))
     assert np.array_equal(back.vertices, scattered.vertices)
     assert np.array_equal(back.triangles, scattered.triangles)
 
 
 @pytest.mark.slow
-def test_results_speak_of_the_given_rows(scattered):
+def test_results_use_the_original_indices(scattered):
     lock = np.arange(0, len(scattered.vertices), 5003)
     found = simplify(scattered, ratio=0.05, lock=lock)
     again = simplify(scattered, ratio=0.05, lock=lock, threads=1)
@@ -69,15 +69,15 @@ def test_results_speak_of_the_given_rows(scattered):
     assert kept.sum() == len(lock)
     assert np.array_equal(found.mesh.vertices[kept], scattered.vertices[lock])
     assert np.array_equal(found.mesh.colors[kept], scattered.colors[lock])
-    # What is left of a triangle is still near where that was.
+    # The remaining part of a triangle is still close to its original position.
     away = np.linalg.norm(
-        places(found.mesh).mean(1) - places(scattered)[found.triangle_source].mean(1), axis=1
+        get_corners(found.mesh).mean(1) - get_corners(scattered)[found.triangle_source].mean(1), axis=1
     )
     assert np.quantile(away, 0.99) < 20
 
 
 @pytest.mark.slow
-def test_the_order_costs_no_accuracy(sheet, scattered):
+def test_reordering_costs_no_accuracy(sheet, scattered):
     def height_error(mesh: Mesh) -> float:
         x, y, z = simplify(mesh, ratio=0.05).mesh.vertices.T
         return float(np.sqrt(np.mean((2 * np.sin(x / 9) * np.cos(y / 7) - z) ** 2)))
@@ -85,13 +85,13 @@ def test_the_order_costs_no_accuracy(sheet, scattered):
     assert height_error(scattered) < 1.05 * height_error(sheet)
 
 
-def test_what_is_no_manifold_is_split_in_the_given_rows(scattered):
+def test_non_manifold_parts_are_split_with_original_indices(scattered):
     extra = np.append(scattered.triangles[7, :2], scattered.triangles[9, 2]).astype(np.int32)
     broken = scattered.with_(triangles=np.concatenate([scattered.triangles, extra[None]]))
     assert is_scattered(broken)
     light = simplify(broken, ratio=0.05)
     assert any("split into sheets" in str(one) for one in light.diagnostics)
-    # Where the sheets touch they stay, under the numbers that were given.
+    # Vertices where sheets touch are kept under their original indices.
     ends = np.isin(light.vertex_source, extra[:2])
     assert set(light.vertex_source[ends]) == set(extra[:2])
     assert np.array_equal(light.mesh.vertices[ends], broken.vertices[light.vertex_source[ends]])

@@ -1,4 +1,4 @@
-"""What a texture promises: one material and three coordinates a triangle, images as they are."""
+"""Invariants of textures: one material and three coordinates per triangle, unchanged images."""
 
 import numpy as np
 import pytest
@@ -15,34 +15,37 @@ SQUARE = np.array([(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)], float)
 TEXTURE = Texture(SQUARE[TRIANGLES][..., :2] + 1, np.array([0, 1], np.int32), (Material("a"), Material("b")))
 
 
-def square(**changes) -> Mesh:
+def make_square(**changes) -> Mesh:
     return Mesh(SQUARE, TRIANGLES, texture=TEXTURE).with_(**changes)
 
 
 @pytest.mark.parametrize(
     ("mesh", "sentence"),
     [
-        (square(triangles=TRIANGLES[:1]), "2 × 3 texture coordinates .* for 1 triangles"),
-        (square(texture=Texture(TEXTURE.uvs, np.array([0, 2]), TEXTURE.materials)), "beyond the 2 texture"),
+        (make_square(triangles=TRIANGLES[:1]), "2 × 3 texture coordinates .* for 1 triangles"),
         (
-            square(texture=Texture(TEXTURE.uvs * np.nan, TEXTURE.material_ids)),
+            make_square(texture=Texture(TEXTURE.uvs, np.array([0, 2]), TEXTURE.materials)),
+            "beyond the 2 texture",
+        ),
+        (
+            make_square(texture=Texture(TEXTURE.uvs * np.nan, TEXTURE.material_ids)),
             "of triangle 0 are .* not finite",
         ),
-        (square(texture=Texture(TEXTURE.uvs[..., :1], TEXTURE.material_ids)), "m × 3 × 2"),
-        (square(corner_normals=np.zeros((1, 3, 3))), "1 corner normals for 2 triangles"),
-        (square(corner_normals=np.zeros((2, 3))), "corner normals have shape"),
-        (square(part_ids=np.array([0, 1]), part_names=("one",)), "beyond the 1 part names"),
-        (square(part_ids=np.array([0]), part_names=("one",)), "1 part indices for 2 triangles"),
+        (make_square(texture=Texture(TEXTURE.uvs[..., :1], TEXTURE.material_ids)), "m × 3 × 2"),
+        (make_square(corner_normals=np.zeros((1, 3, 3))), "1 corner normals for 2 triangles"),
+        (make_square(corner_normals=np.zeros((2, 3))), "corner normals have shape"),
+        (make_square(part_ids=np.array([0, 1]), part_names=("one",)), "beyond the 1 part names"),
+        (make_square(part_ids=np.array([0]), part_names=("one",)), "1 part indices for 2 triangles"),
     ],
 )
-def test_what_does_not_fit_is_refused(mesh, sentence):
+def test_inconsistent_textures_are_refused(mesh, sentence):
     with pytest.raises(MeshError, match=sentence):
         as_mesh(mesh)
 
 
-def test_triangles_keep_what_they_carry():
+def test_selected_triangles_keep_their_attributes():
     normals = np.arange(18.0).reshape(2, 3, 3)
-    mesh = square(corner_normals=normals, part_ids=np.array([0, 1], np.int32), part_names=("p", "q"))
+    mesh = make_square(corner_normals=normals, part_ids=np.array([0, 1], np.int32), part_names=("p", "q"))
     other = mesh.with_triangles(np.array([[2, 3, 0], [0, 1, 3], [0, 1, 2]], np.int32), np.array([1, -1, 0]))
     assert as_mesh(other).texture.material_ids.tolist() == [1, -1, 0]
     assert other.part_ids.tolist() == [1, -1, 0]
@@ -57,7 +60,7 @@ def test_triangles_keep_what_they_carry():
 
 
 def test_cleaning_keeps_parts_and_normals_of_corners():
-    # The second triangle is turned, the third has no area, the fourth fills nothing.
+    # The second triangle is flipped, the third is degenerate.
     triangles = np.array([[0, 1, 2], [0, 3, 2], [1, 1, 2]], np.int32)
     normals = np.arange(27.0).reshape(3, 3, 3)
     mesh = Mesh(
@@ -76,7 +79,7 @@ def test_cleaning_keeps_parts_and_normals_of_corners():
             np.testing.assert_array_equal(result.mesh.corner_normals[row, corner], normals[source, old])
 
 
-def colors_at(uv, image, **material) -> list[int]:
+def sample_color(uv, image, **material) -> list[int]:
     uvs = np.broadcast_to(np.array(uv, float), (1, 3, 2))
     texture = Texture(uvs, np.zeros(1, np.int32), (Material(image=Image(given=image), **material),))
     return bake_vertex_colors(Mesh(np.eye(3), np.array([[0, 1, 2]]), texture=texture)).colors[0].tolist()
@@ -91,28 +94,29 @@ def colors_at(uv, image, **material) -> list[int]:
         ("mirror", [0, 0, 80, 240, 240, 0]),
     ],
 )
-def test_images_go_on_beyond_their_edges(way, reds):
+def test_wrap_modes_extend_images(way, reds):
     image = np.zeros((1, 4, 3), np.uint8)
     image[0, :, 0] = [0, 80, 160, 240]
     found = [
-        colors_at((u, 0.3), image, wrap=(way, "repeat"))[0] for u in (-0.125, 0.125, 0.375, 1.0, 1.125, 2.125)
+        sample_color((u, 0.3), image, wrap=(way, "repeat"))[0]
+        for u in (-0.125, 0.125, 0.375, 1.0, 1.125, 2.125)
     ]
     assert found == reds
     turned = image.transpose(1, 0, 2)[::-1]
     assert [
-        colors_at((0.3, v), turned, wrap=("repeat", way))[0]
+        sample_color((0.3, v), turned, wrap=("repeat", way))[0]
         for v in (-0.125, 0.125, 0.375, 1.0, 1.125, 2.125)
     ] == reds
-    assert len(colors_at((1e300, -1e300), image, wrap=(way, way))) == 3
+    assert len(sample_color((1e300, -1e300), image, wrap=(way, way))) == 3
 
 
 def test_the_base_color_multiplies_light():
-    image = np.full((1, 1, 3), 188, np.uint8)  # shows half the light of white
-    color = (1.0, 0.7353569, 0.0, 1.0)  # the second is half the light, too
-    assert colors_at((0.5, 0.5), image, base_color=color) == pytest.approx([188, 137, 0], abs=1)
+    image = np.full((1, 1, 3), 188, np.uint8)  # half the light of white
+    color = (1.0, 0.7353569, 0.0, 1.0)  # the second channel is half the light, too
+    assert sample_color((0.5, 0.5), image, base_color=color) == pytest.approx([188, 137, 0], abs=1)
 
 
-def test_images_are_decoded_when_asked_for():
+def test_images_are_decoded_on_access():
     pixels = np.random.default_rng(0).integers(0, 256, (5, 7, 4)).astype(np.uint8)
     image = Image("a.png", Image(given=pixels).file_bytes)
     assert (image.extension, image.mime) == (".png", "image/png")

@@ -1,4 +1,4 @@
-"""Counts of known shapes, and the same counts from trimesh on real meshes."""
+"""Topology counts of known shapes, and agreement with trimesh on real meshes."""
 
 import numpy as np
 import pytest
@@ -13,14 +13,14 @@ from scanloom.stages.surface.topology import Topology, is_degenerate, require_ma
 TETRAHEDRON = ((0, 2, 1), (0, 1, 3), (1, 2, 3), (2, 0, 3))
 
 
-def of(triangles, vertices=None) -> Topology:
+def compute_topology(triangles, vertices=None) -> Topology:
     triangles = np.array(triangles, np.int32).reshape(-1, 3)
     if vertices is None:
         vertices = np.random.default_rng(0).normal(size=(triangles.max(initial=-1) + 1, 3))
     return topology((vertices, triangles))
 
 
-def torus(rows: int = 6, columns: int = 8) -> np.ndarray:
+def make_torus(rows: int = 6, columns: int = 8) -> np.ndarray:
     index = np.arange(rows * columns).reshape(rows, columns)
     right, down = np.roll(index, -1, 1), np.roll(index, -1, 0)
     across = np.roll(down, -1, 1)
@@ -32,8 +32,8 @@ def torus(rows: int = 6, columns: int = 8) -> np.ndarray:
     )
 
 
-def moebius(columns: int = 9) -> np.ndarray:
-    """Strip of squares between 2 i and 2 i + 1 whose end is glued to its start upside down."""
+def make_moebius_strip(columns: int = 9) -> np.ndarray:
+    """Make a strip of squares between 2 i and 2 i + 1 whose end is joined to its start upside down."""
     triangles = []
     for i in range(columns):
         a, b, c, d = 2 * i, 2 * i + 1, 2 * i + 2, 2 * i + 3
@@ -44,41 +44,41 @@ def moebius(columns: int = 9) -> np.ndarray:
 
 
 def test_closed_surfaces():
-    sphere = of(TETRAHEDRON)
+    sphere = compute_topology(TETRAHEDRON)
     assert (sphere.euler, sphere.edges, sphere.components, sphere.boundary_loops) == (2, 6, 1, 0)
     assert sphere.is_manifold
     assert sphere.is_oriented
     assert sphere.is_closed
-    ring = of(torus())
+    ring = compute_topology(make_torus())
     assert (ring.euler, ring.boundary_edges) == (0, 0)
     assert ring.is_manifold
     assert ring.is_closed
 
 
 def test_borders():
-    open_ring = of(torus()[1:])
+    open_ring = compute_topology(make_torus()[1:])
     assert (open_ring.euler, open_ring.boundary_edges, open_ring.boundary_loops) == (-1, 3, 1)
     assert open_ring.is_manifold
     assert not open_ring.is_closed
-    # Two holes that touch in a vertex pinch it; along each of its fans runs the same loop.
-    pinched = of([t for t in torus(8, 8).tolist() if t not in ([0, 1, 9], [63, 56, 0])])
+    # Two holes that touch in a vertex form a single loop, which passes that vertex twice.
+    pinched = compute_topology([t for t in make_torus(8, 8).tolist() if t not in ([0, 1, 9], [63, 56, 0])])
     assert (pinched.boundary_edges, pinched.boundary_loops, pinched.nonmanifold_vertices) == (6, 1, 1)
 
 
 def test_moebius_strip_is_manifold_but_not_oriented():
-    strip = of(moebius())
+    strip = compute_topology(make_moebius_strip())
     assert (strip.euler, strip.boundary_loops) == (0, 1)
     assert strip.is_manifold
     assert not strip.is_oriented
 
 
 def test_nonmanifold_parts():
-    book = of([(0, 1, 2), (1, 0, 3), (0, 1, 4)])
+    book = compute_topology([(0, 1, 2), (1, 0, 3), (0, 1, 4)])
     assert (book.nonmanifold_edges, book.nonmanifold_vertices) == (1, 0)
-    bow_tie = of([(0, 1, 2), (0, 3, 4)])
+    bow_tie = compute_topology([(0, 1, 2), (0, 3, 4)])
     assert (bow_tie.nonmanifold_edges, bow_tie.nonmanifold_vertices, bow_tie.components) == (0, 1, 1)
     assert bow_tie.boundary_loops == 2
-    turned = of([(0, 1, 2), (0, 1, 3)])
+    turned = compute_topology([(0, 1, 2), (0, 1, 3)])
     assert turned.inconsistent_edges == 1
     assert turned.is_manifold
     assert not turned.is_oriented
@@ -86,14 +86,14 @@ def test_nonmanifold_parts():
 
 def test_degenerate_duplicate_and_unreferenced():
     vertices = [[0, 0, 0], [1, 0, 0], [0, 1, 0], [2, 0, 0], [9, 9, 9], [0, 0, 0]]
-    found = of([(0, 1, 2), (1, 2, 0), (2, 1, 0), (0, 1, 3), (0, 0, 1), (0, 5, 2)], vertices)
+    found = compute_topology([(0, 1, 2), (1, 2, 0), (2, 1, 0), (0, 1, 3), (0, 0, 1), (0, 5, 2)], vertices)
     assert (found.duplicate, found.degenerate, found.repeating, found.unreferenced) == (2, 3, 1, 1)
     assert not found.is_manifold
 
 
 @pytest.mark.parametrize("scale", [1e-6, 1, 1e6])
 @pytest.mark.parametrize(("height", "flat"), [(0, True), (1e-12, True), (1e-6, False)])
-def test_flat_does_not_depend_on_scale(scale, height, flat):
+def test_degeneracy_does_not_depend_on_scale(scale, height, flat):
     vertices = np.array([[0, 0, 0], [1, 0, 0], [0.5, height, 0]]) * scale
     assert is_degenerate(vertices, np.array([[0, 1, 2]], np.int32)).tolist() == [flat]
 
@@ -108,7 +108,7 @@ def test_empty():
 def test_metrics_are_plain_numbers():
     import json
 
-    metrics = json.loads(json.dumps(of(TETRAHEDRON).to_dict()))
+    metrics = json.loads(json.dumps(compute_topology(TETRAHEDRON).to_dict()))
     assert metrics["euler"] == 2
     assert metrics["is_closed"] is True
 
@@ -133,7 +133,7 @@ def test_require_manifold_returns_the_mesh():
 
 
 def test_component_labels_come_in_order_of_first_node():
-    # Splitting vertices relies on it: the fan of the first corner keeps the old vertex.
+    # Vertex splitting relies on this order: the fan of the first corner keeps the old vertex.
     _, labels = label_components(6, np.array([5, 1]), np.array([0, 3]))
     assert labels.tolist() == [0, 1, 2, 1, 3, 0]
 
@@ -154,7 +154,7 @@ def test_edges_agree_with_a_dictionary(rows):
     assert edges.forward_count.tolist() == [sum(expected[e]) for e in sorted(expected)]
 
 
-def agrees_with_trimesh(vertices, triangles) -> None:
+def assert_agrees_with_trimesh(vertices, triangles) -> None:
     import trimesh
 
     ours = topology((vertices, triangles))
@@ -172,7 +172,7 @@ def agrees_with_trimesh(vertices, triangles) -> None:
 )
 def test_random_triangles_agree_with_trimesh(rows):
     triangles = np.unique(np.sort(rows, axis=1), axis=0)
-    agrees_with_trimesh(np.random.default_rng(0).normal(size=(8, 3)), triangles)
+    assert_agrees_with_trimesh(np.random.default_rng(0).normal(size=(8, 3)), triangles)
 
 
 @pytest.mark.parametrize(
@@ -182,15 +182,15 @@ def test_random_triangles_agree_with_trimesh(rows):
 )  # fmt: skip
 def test_real_meshes_agree_with_trimesh(shared_data, name):
     mesh = read_mesh(shared_data / "meshes" / name)
-    agrees_with_trimesh(mesh.vertices, mesh.triangles)
+    assert_agrees_with_trimesh(mesh.vertices, mesh.triangles)
 
 
-def test_what_the_notes_on_real_meshes_say(shared_data):
+def test_topology_of_a_real_kitchen(shared_data):
     kitchen = topology(read_mesh(shared_data / "meshes" / "redkitchen_fused_vertexcolor.ply"))
     assert (kitchen.boundary_edges, kitchen.components) == (9478, 190)
     assert topology(read_mesh(shared_data / "meshes" / "stanford-bunny.obj")).boundary_edges == 223
 
 
-def test_no_mesh_is_an_input_error():
+def test_a_path_is_not_a_mesh():
     with pytest.raises(InputError):
         topology("mesh.ply")

@@ -1,4 +1,4 @@
-"""What is up is found from the surface, where a floor is to be seen."""
+"""Estimation of the up direction from the surface of a floor."""
 
 import numpy as np
 import pytest
@@ -9,8 +9,8 @@ from scanloom.stages.surface.mesh import Mesh
 from scanloom.stages.surface.up_direction import estimate_up_from_surface, estimate_up_of_scene
 
 
-def room(floor: float, *, noise: float = 0.0) -> Mesh:
-    """Return a floor with z up, and two larger walls, each of a grid."""
+def make_room(floor: float, *, noise: float = 0.0) -> Mesh:
+    """Make a floor with z up, and two larger walls, each as a grid."""
     u, v = (a.reshape(-1) for a in np.meshgrid(*2 * (np.linspace(0, 1, 21),)))
     zero = 0 * u
     parts = [
@@ -29,12 +29,12 @@ def room(floor: float, *, noise: float = 0.0) -> Mesh:
 
 
 @pytest.mark.parametrize("seed", range(8))
-def test_a_floor_is_found_from_a_guess_that_is_far_off_however_it_is_turned(seed: int) -> None:
+def test_a_floor_is_found_from_a_poor_guess_in_any_orientation(seed: int) -> None:
     random = np.random.default_rng(seed)
     turn = Rotation.random(random_state=seed).as_matrix()
-    mesh = room(0.8, noise=0.001)
+    mesh = make_room(0.8, noise=0.001)
     mesh = mesh.with_(vertices=mesh.vertices @ turn.T)
-    # 30° off, away from the walls' own normals or towards them.
+    # A guess with an error of 30°, towards the wall normals or away from them.
     tilt = Rotation.from_rotvec(np.radians(30) * np.array([*_direction(random), 0])).as_matrix()
     found = estimate_up_from_surface(mesh, turn @ tilt @ (0, 0, 1))
     assert found is not None
@@ -46,8 +46,8 @@ def _direction(random: np.random.Generator) -> tuple[float, float]:
     return np.cos(angle), np.sin(angle)
 
 
-def test_walls_alone_do_not_tell() -> None:
-    mesh = room(0.0)
+def test_walls_without_floor_give_no_up_direction() -> None:
+    mesh = make_room(0.0)
     walls = Mesh(mesh.vertices, mesh.triangles[800:])
     assert estimate_up_from_surface(walls, np.array((0.0, 0.0, 1.0))) is None
     assert (
@@ -58,8 +58,8 @@ def test_walls_alone_do_not_tell() -> None:
     )
 
 
-def looking(*, roll: float = 0.0, level: float = 20.0, across: float = 90.0, count: int = 8) -> np.ndarray:
-    """Poses of a world with z up that look about, some degrees down, held at a roll."""
+def make_poses(*, roll: float = 0.0, level: float = 20.0, across: float = 90.0, count: int = 8) -> np.ndarray:
+    """Make poses in a world with z up: tilted down by `level` degrees and rolled by `roll` degrees."""
     poses = np.tile(np.eye(4), (count, 1, 1))
     for pose, azimuth in zip(poses, np.radians(np.linspace(-across / 2, across / 2, count)), strict=True):
         down = np.radians(level)
@@ -71,23 +71,25 @@ def looking(*, roll: float = 0.0, level: float = 20.0, across: float = 90.0, cou
     return poses
 
 
-def test_what_is_known_is_taken_where_the_scan_agrees() -> None:
+def test_a_known_direction_consistent_with_the_scan_is_used() -> None:
     tilt = Rotation.from_euler("xyz", (0, 4, 0), degrees=True).apply((0, 0, 1))
-    found = estimate_up_of_scene(room(0.8), looking(), (tilt, "gravity of the IMU"))
+    found = estimate_up_of_scene(make_room(0.8), make_poses(), (tilt, "gravity of the IMU"))
     np.testing.assert_array_equal(found.direction, tilt)
     assert found.source == "gravity of the IMU"
-    # An axis that is within a degree is meant.
+    # A direction within one degree of an axis is snapped to the axis.
     near = Rotation.from_euler("xyz", (0.5, 0.5, 0), degrees=True).apply((0, 0, 1))
     np.testing.assert_array_equal(
-        estimate_up_of_scene(room(0.8), looking(), (near, "known")).direction, (0, 0, 1)
+        estimate_up_of_scene(make_room(0.8), make_poses(), (near, "known")).direction, (0, 0, 1)
     )
 
 
 @pytest.mark.parametrize("known", [(0.0, 1.0, 0.0), (0.0, 0.0, -1.0), (1.0, 0.0, 0.0)])
-def test_what_is_known_is_taken_and_doubted_where_nothing_agrees(known: tuple[float, float, float]) -> None:
-    # Turned about by more than a half, so that no side of the images always looks one way.
+def test_a_known_direction_contradicting_the_scan_is_used_with_a_warning(
+    known: tuple[float, float, float],
+) -> None:
+    # Rotated by more than 180° in total, so that no side of the images has a constant direction.
     with collecting() as diagnostics:
-        found = estimate_up_of_scene(room(0.8), looking(across=300), (known, "layout other: wrong"))
+        found = estimate_up_of_scene(make_room(0.8), make_poses(across=300), (known, "layout other: wrong"))
     np.testing.assert_array_equal(found.direction, known)
     (doubt,) = diagnostics
     off = 180 if known[2] else 90
@@ -98,18 +100,18 @@ def test_what_is_known_is_taken_and_doubted_where_nothing_agrees(known: tuple[fl
 
 
 @pytest.mark.parametrize("roll", [90, -90])
-def test_a_phone_held_in_portrait_is_no_doubt(roll: float) -> None:
+def test_a_phone_in_portrait_orientation_gives_no_warning(roll: float) -> None:
     with collecting() as diagnostics:
-        estimate_up_of_scene(room(0.8), looking(roll=roll), ((0.0, 0.0, 1.0), "layout polycam: y up"))
+        estimate_up_of_scene(make_room(0.8), make_poses(roll=roll), ((0.0, 0.0, 1.0), "layout polycam: y up"))
     assert diagnostics == []
-    # Without that knowledge its side is up.
-    assert estimate_up_of_scene(room(0.8), looking(roll=roll)).direction @ (0, 0, 1) < 0.5
+    # Without that information, the side of the images would be up.
+    assert estimate_up_of_scene(make_room(0.8), make_poses(roll=roll)).direction @ (0, 0, 1) < 0.5
 
 
 @pytest.mark.parametrize("turned", [(0,), (0, 5, 6, 11)])
-def test_cameras_on_their_side_around_a_thing_stand_on_its_axis(turned: tuple[int, ...]) -> None:
-    """Some of them on the other side, as of an arm that turns over."""
-    poses = looking(roll=90, across=330, count=12)
+def test_rolled_cameras_around_an_object_give_the_axis_as_up(turned: tuple[int, ...]) -> None:
+    """Some cameras are on the other side, like an arm that turns over."""
+    poses = make_poses(roll=90, across=330, count=12)
     for k in turned:
         poses[k, :3, :2] *= -1
     place = Mesh(np.zeros((3, 3)), np.array([[0, 1, 2]], np.int32))
@@ -118,8 +120,8 @@ def test_cameras_on_their_side_around_a_thing_stand_on_its_axis(turned: tuple[in
     assert found.direction @ (0, 0, 1) > 0.99
 
 
-def test_cameras_on_their_feet_stay_so() -> None:
+def test_upright_cameras_give_their_up_direction() -> None:
     place = Mesh(np.zeros((3, 3)), np.array([[0, 1, 2]], np.int32))
     for level in (-40.0, 0.0, 60.0):
-        found = estimate_up_of_scene(place, looking(level=level, across=330, count=12))
+        found = estimate_up_of_scene(place, make_poses(level=level, across=330, count=12))
         assert found.direction @ (0, 0, 1) > 0.99

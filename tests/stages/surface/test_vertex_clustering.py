@@ -1,4 +1,4 @@
-"""Vertex clustering of files: what lies in a cell is one vertex, and the file is never read as a whole."""
+"""Vertex clustering of files: all vertices of a cell are merged, and the file is read in batches."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ def random_mesh(seed: int, vertices: int, triangles: int, *, colored: bool) -> M
     )
 
 
-def cell_by_cell(mesh: Mesh, cell: float) -> tuple[list[list[float]], set[tuple[int, ...]]]:
-    """Return mean places and colours of the cells that triangles are left of, and these, one at a time."""
+def cluster_by_cell(mesh: Mesh, cell: float) -> tuple[list[list[float]], set[tuple[int, ...]]]:
+    """Compute mean positions and colours of the used cells and the remaining triangles, cell by cell."""
     low, inside = mesh.vertices.min(axis=0), defaultdict(list)
     longest = np.ptp(mesh.vertices, axis=0).max()
     cells = [tuple(min(int(x), round(longest / cell) - 1) for x in (p - low) / cell) for p in mesh.vertices]
@@ -48,7 +48,7 @@ def cell_by_cell(mesh: Mesh, cell: float) -> tuple[list[list[float]], set[tuple[
     st.integers(0, 2**32 - 1), st.integers(3, 300), st.integers(0, 200), st.integers(8, 200), st.booleans()
 )
 @settings(max_examples=40, deadline=None)
-def test_it_is_what_the_words_say(
+def test_clustering_agrees_with_the_definition(
     tmp_path_factory: pytest.TempPathFactory,
     seed: int,
     vertices: int,
@@ -62,7 +62,7 @@ def test_it_is_what_the_words_say(
     found = read_clustered_mesh(path, most)
     assert len(found.mesh.vertices) <= most
     assert found.triangle_count == triangles
-    means, turned = cell_by_cell(mesh, found.cell_size)
+    means, turned = cluster_by_cell(mesh, found.cell_size)
     assert len(found.mesh.vertices) == len(means)
     if means:
         made = np.array(means)
@@ -75,7 +75,7 @@ def test_it_is_what_the_words_say(
     assert len(found.mesh.triangles) == len(turned)
 
 
-def test_rows_are_read_some_at_a_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_results_do_not_depend_on_the_batch_size(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     write_ply(tmp_path / "mesh.ply", random_mesh(1, 500, 900, colored=True))
     at_once = read_clustered_mesh(tmp_path / "mesh.ply", 60)
     monkeypatch.setattr(vertex_clustering, "_ROWS_PER_CHUNK", 7)
@@ -84,7 +84,7 @@ def test_rows_are_read_some_at_a_time(tmp_path: Path, monkeypatch: pytest.Monkey
     np.testing.assert_array_equal(by_rows.mesh.triangles, at_once.mesh.triangles)
 
 
-def test_a_mesh_coarser_than_the_cells_stays(tmp_path: Path) -> None:
+def test_a_mesh_coarser_than_the_cells_is_unchanged(tmp_path: Path) -> None:
     x, y = np.meshgrid(np.arange(20.0), np.arange(20.0), indexing="ij")
     first = np.arange(380)[np.arange(380) % 20 < 19]
     halves = [np.stack([first, first + 20, first + 1]), np.stack([first + 20, first + 21, first + 1])]
@@ -97,27 +97,27 @@ def test_a_mesh_coarser_than_the_cells_stays(tmp_path: Path) -> None:
     }
 
 
-def _cut(path: Path) -> None:
+def _truncate(path: Path) -> None:
     path.write_bytes(path.read_bytes()[:-5])
 
 
-def _named_wrongly(path: Path) -> None:
+def _write_invalid_index(path: Path) -> None:
     path.write_bytes(path.read_bytes()[:-4] + np.int32(3_000).tobytes())
 
 
-def _not_finite(path: Path) -> None:
+def _write_nan(path: Path) -> None:
     data = path.read_bytes()
     start = data.index(b"end_header\n") + len(b"end_header\n")
     path.write_bytes(data[:start] + np.float64(np.nan).tobytes() + data[start + 8 :])
 
 
-def _quad(path: Path) -> None:
+def _write_quad(path: Path) -> None:
     data = bytearray(path.read_bytes())
     data[-13] = 4
     path.write_bytes(data)
 
 
-def _as_text(path: Path) -> None:
+def _write_ascii(path: Path) -> None:
     path.write_text(
         "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\n"
         "element face 1\nproperty list uchar int vertex_indices\nend_header\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n"
@@ -127,16 +127,16 @@ def _as_text(path: Path) -> None:
 @pytest.mark.parametrize(
     ("damage", "words"),
     [
-        (_cut, "not as long as its header promises"),
-        (_named_wrongly, "references a vertex that does not exist"),
-        (_not_finite, "a vertex is not finite"),
-        (_quad, "faces that are not triangles"),
-        (_as_text, "not a binary file of vertices and triangles alone"),
+        (_truncate, "not as long as its header promises"),
+        (_write_invalid_index, "references a vertex that does not exist"),
+        (_write_nan, "a vertex is not finite"),
+        (_write_quad, "faces that are not triangles"),
+        (_write_ascii, "not a binary file of vertices and triangles alone"),
         (Path.unlink, "cannot be read"),
         (lambda path: path.write_bytes(b"solid"), "is not a PLY file"),
     ],
 )
-def test_bad_files_are_told(damage: object, words: str, tmp_path: Path) -> None:
+def test_damaged_files_are_reported(damage: object, words: str, tmp_path: Path) -> None:
     path = tmp_path / "mesh.ply"
     write_ply(path, random_mesh(2, 30, 40, colored=True))
     damage(path)  # type: ignore[operator]

@@ -1,4 +1,4 @@
-"""Details that the mean of many photos loses come back, and nothing else changes."""
+"""Details that are lost in the mean of many photos are restored, and nothing else is changed."""
 
 from dataclasses import replace
 
@@ -15,17 +15,17 @@ from scanloom.stages.texturing.back_projection import add_residual
 from scanloom.stages.texturing.texture import texture
 
 ALL = np.ones((CAMERA.height, CAMERA.width), bool)
-# Pixels of a photo in each pixel, along each side: what a pixel shows is a mean.
+# Supersampling per axis: each pixel is a mean.
 FINER = 5
 
 
-def checks(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """A chessboard whose squares are two pixels of the photos wide, more or less."""
+def paint_checks(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Compute a chessboard whose squares are about two photo pixels wide."""
     dark = (np.floor(x * 90) + np.floor(y * 90)) % 2
     return np.stack([60 + 130 * dark, 190 - 110 * dark, 90 + 60 * dark], axis=-1)
 
 
-def of_checks(frame: Frame) -> Frame:
+def render_checks(frame: Frame) -> Frame:
     v, u = np.mgrid[: FINER * CAMERA.height, : FINER * CAMERA.width]
     pose = np.asarray(frame.world_from_camera)
     pixels = [(one + 0.5) / FINER - 0.5 for one in (u, v)]
@@ -40,32 +40,32 @@ def of_checks(frame: Frame) -> Frame:
     way = rays @ pose[:3, :3].T
     at = pose[:3, 3] - way * (pose[2, 3] / way[..., 2])[..., None]
     size = (CAMERA.width, CAMERA.height)
-    levels = cv2.resize(checks(at[..., 0], at[..., 1]), size, interpolation=cv2.INTER_AREA)
+    levels = cv2.resize(paint_checks(at[..., 0], at[..., 1]), size, interpolation=cv2.INTER_AREA)
     shown = np.asarray(frame.color).max(axis=2, keepdims=True) > 0
     return replace(frame, color=np.where(shown, np.rint(levels), 0).astype(np.uint8))
 
 
-def off(mesh: Mesh) -> np.ndarray:
-    """How far the middle of the wall is off its paint, in levels, the mean of the channels."""
+def measure_errors(mesh: Mesh) -> np.ndarray:
+    """Measure the mean channel error in levels in the middle of the wall."""
     rng = np.random.default_rng(3)
     chosen = rng.integers(0, len(mesh.triangles), 8000)
     weights = rng.dirichlet((1, 1, 1), len(chosen))
     x, y, _ = np.einsum("kc,kcx->xk", weights, mesh.vertices[mesh.triangles[chosen]])
     middle = (np.abs(np.stack([x, y]) - 0.5) < 0.25).all(axis=0)
-    return np.abs(compute_surface_colors(mesh, chosen, weights) - checks(x, y)).mean(axis=1)[middle]
+    return np.abs(compute_surface_colors(mesh, chosen, weights) - paint_checks(x, y)).mean(axis=1)[middle]
 
 
 @pytest.mark.slow
-def test_details_come_back():
-    frames = [of_checks(frame) for frame in photos(12)]
+def test_details_are_restored():
+    frames = [render_checks(frame) for frame in photos(12)]
     painted = [
         texture(wall(), frames, format="png", alignment_iterations=iterations).mesh for iterations in (0, 1)
     ]
-    without, with_details = (off(mesh).mean() for mesh in painted)
+    without, with_details = (measure_errors(mesh).mean() for mesh in painted)
     assert with_details < 0.9 * without
 
 
-def test_photos_that_are_off_bring_none(monkeypatch: pytest.MonkeyPatch):
+def test_misaligned_photos_add_no_details(monkeypatch: pytest.MonkeyPatch):
     def never(*_: object, **__: object) -> None:
         raise AssertionError("asked for details")
 
@@ -80,7 +80,7 @@ def test_photos_that_are_off_bring_none(monkeypatch: pytest.MonkeyPatch):
         texture(wall(), frames)
 
 
-def test_what_a_photo_shows_in_little_is_added():
+def test_small_details_of_a_photo_are_added():
     drawn = np.full((*ALL.shape, 3), 100, np.uint8)
     seen = drawn.copy()
     seen[60, 70:72] = (130, 100, 80), (70, 100, 120)
@@ -88,11 +88,11 @@ def test_what_a_photo_shows_in_little_is_added():
     assert np.abs(once[60, 70:72] - [(160.0, 100.0, 60.0), (40.0, 100.0, 140.0)]).max() <= 1
     once[60, 70:72] = 100
     assert (once == 100).all()
-    # A second texture that has it lacks nothing more.
+    # A second texture that already has the detail gets nothing added.
     assert np.array_equal(add_residual(seen, seen, seen, ALL), seen)
 
 
-def test_what_is_something_else_is_not_added():
+def test_other_content_is_not_added():
     drawn = np.full((*ALL.shape, 3), 100, np.uint8)
     seen = drawn.copy()
     seen[30:90, 50:110] = (130, 90, 100)
@@ -100,7 +100,7 @@ def test_what_is_something_else_is_not_added():
     assert np.array_equal(add_residual(seen, seen, drawn, ALL)[inner], seen[inner])
 
 
-def test_where_the_mesh_ends_nothing_is_added():
+def test_nothing_is_added_beyond_the_mesh():
     drawn = np.full((*ALL.shape, 3), 100, np.uint8)
     seen = drawn.copy()
     seen[:, 78], seen[:, 79] = 80, 120
@@ -110,7 +110,7 @@ def test_where_the_mesh_ends_nothing_is_added():
     assert add_residual(seen, seen, drawn, ALL)[60, 79].min() > 138
 
 
-def test_levels_are_cut_off():
+def test_levels_are_clipped():
     drawn = np.full((*ALL.shape, 3), 128, np.uint8)
     seen = drawn.copy()
     seen[60, 70], seen[60, 90] = 250, 3

@@ -14,14 +14,14 @@ from scanloom.stages.texturing.codes import TEXTURE_BAKE_LEFT_OUT
 from scanloom.stages.texturing.gap_filling import fill_gaps_smoothly
 
 
-def square(depth: float = 0.0, turned: bool = False) -> Mesh:
-    """Two triangles over the unit square, that face up, or down if turned."""
+def make_square(depth: float = 0.0, turned: bool = False) -> Mesh:
+    """Make two triangles over the unit square that face up, or down if `turned`."""
     vertices = np.array([[0, 0, depth], [1, 0, depth], [1, 1, depth], [0, 1, depth]])
     triangles = np.array([[0, 1, 2], [0, 2, 3]], np.int32)
     return Mesh(vertices, triangles[:, ::-1] if turned else triangles)
 
 
-def joined(*meshes: Mesh) -> Mesh:
+def join_meshes(*meshes: Mesh) -> Mesh:
     offsets = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
     triangles = [mesh.triangles + offset for mesh, offset in zip(meshes, offsets, strict=False)]
     colors = [mesh.colors for mesh in meshes]
@@ -32,8 +32,8 @@ def joined(*meshes: Mesh) -> Mesh:
     )
 
 
-def inside(mesh: Mesh, count: int = 5000, seed: int = 0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Points in triangles: triangle, weights, place."""
+def sample_inside(mesh: Mesh, count: int = 5000, seed: int = 0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Sample random points in triangles: triangle, weights, position."""
     rng = np.random.default_rng(seed)
     triangles = rng.choice(len(mesh.triangles), count)
     weights = rng.dirichlet((1, 1, 1), count)
@@ -41,14 +41,14 @@ def inside(mesh: Mesh, count: int = 5000, seed: int = 0) -> tuple[np.ndarray, np
 
 
 @pytest.mark.slow
-def test_a_light_mesh_shows_what_its_original_shows():
+def test_a_simplified_mesh_shows_the_colours_of_its_original():
     original = sheet(height=0.0, noise=0.0)
-    baked = bake(square(), original, texel_size=0.004)
-    triangles, weights, places = inside(baked.mesh)
+    baked = bake(make_square(), original, texel_size=0.004)
+    triangles, weights, places = sample_inside(baked.mesh)
     seen = compute_surface_colors(baked.mesh, triangles, weights)
     assert seen[:, 0] == pytest.approx(255 * places[:, 0], abs=2.5)
     assert seen[:, 1] == pytest.approx(255 * places[:, 1], abs=2.5)
-    # The stripes, two triangles of six colours of vertices could not show them.
+    # Six vertex colours of two triangles could not represent the stripes.
     in_stripe = ((places[:, 0] % 0.5) > 0.3) & ((places[:, 0] % 0.5) < 0.45)
     assert (seen[in_stripe, 2] > 80).all()
     assert baked.color.rmse < 2
@@ -70,14 +70,14 @@ def test_a_texture_is_baked_into_a_texture():
     checks = np.kron(np.indices((4, 4)).sum(axis=0) % 2, np.ones((16, 16)))[..., None] * np.uint8(
         [250, 60, 10]
     )
-    mesh = square()
-    # Twice over the square, so that it repeats.
+    mesh = make_square()
+    # Texture coordinates cover the image twice, so it repeats.
     uvs = 2 * mesh.vertices[mesh.triangles][:, :, :2]
     materials = (Material(image=Image(given=checks.astype(np.uint8))),)
     original = mesh.with_(texture=Texture(uvs, np.zeros(2, np.int32), materials))
-    baked = bake(square(), original)
+    baked = bake(make_square(), original)
     assert baked.texel_size <= 0.5 / 64
-    triangles, weights, places = inside(mesh)
+    triangles, weights, places = sample_inside(mesh)
     in_check = (np.abs((places[:, :2] * 8) % 1 - 0.5) < 0.3).all(axis=1)
     expected = compute_surface_colors(original, triangles, weights)
     seen = compute_surface_colors(baked.mesh, triangles, weights)
@@ -86,27 +86,30 @@ def test_a_texture_is_baked_into_a_texture():
 
 def test_each_side_of_a_thin_sheet_keeps_its_colour():
     red, blue = np.uint8([[230, 20, 20]] * 4), np.uint8([[20, 20, 230]] * 4)
-    original = joined(square(0.01).with_(colors=red), square(0.0, turned=True).with_(colors=blue))
-    # The light sheet lies the wrong way about: its upper side is nearest to the lower one of the original.
-    light = joined(square(0.003), square(0.007, turned=True))
-    # Elsewhere the light mesh is as far off, which says how far to look.
+    original = join_meshes(
+        make_square(0.01).with_(colors=red), make_square(0.0, turned=True).with_(colors=blue)
+    )
+    # The simplified sheets are in the wrong order: the upper side is closest to the lower side of the
+    # original.
+    light = join_meshes(make_square(0.003), make_square(0.007, turned=True))
+    # A second part with a larger offset increases the search distance.
     aside = np.array([5, 0, 0.01])
-    beside = square().with_(vertices=square().vertices + aside, colors=red)
+    beside = make_square().with_(vertices=make_square().vertices + aside, colors=red)
     baked = bake(
-        joined(light, beside.with_(vertices=beside.vertices - (0, 0, 0.01), colors=None)),
-        joined(original, beside),
+        join_meshes(light, beside.with_(vertices=beside.vertices - (0, 0, 0.01), colors=None)),
+        join_meshes(original, beside),
         texel_size=0.02,
     )
-    triangles, weights, _ = inside(baked.mesh)
+    triangles, weights, _ = sample_inside(baked.mesh)
     seen = compute_surface_colors(baked.mesh, triangles, weights)
     assert (seen[triangles < 2, 0] > 220).all()
     assert (seen[(triangles >= 2) & (triangles < 4), 2] > 220).all()
     assert baked.turned_ratio > 0.5
 
 
-def test_halved_images_keep_each_charts_colour():
-    # Squares that share no vertex lie in charts of their own, next to each other.
-    light = joined(*(square(5.0 * number) for number in range(6)))
+def test_halved_images_keep_the_colour_of_each_chart():
+    # Squares without common vertices are in separate, adjacent charts.
+    light = join_meshes(*(make_square(5.0 * number) for number in range(6)))
     palette = np.uint8([[250, 0, 0], [0, 250, 0], [0, 0, 250], [250, 250, 0], [0, 250, 250], [250, 0, 250]])
     original = light.with_(colors=np.repeat(palette, 4, axis=0))
     baked = bake(light, original, padding=8, texel_size=0.05)
@@ -114,7 +117,7 @@ def test_halved_images_keep_each_charts_colour():
     assert baked.charts == 6
     assert baked.mip_levels == 2
     pixels = baked.mesh.texture.materials[0].image.pixels
-    triangles, weights, _ = inside(baked.mesh)
+    triangles, weights, _ = sample_inside(baked.mesh)
     texture = baked.mesh.texture
     for _ in range(baked.mip_levels + 1):
         halved = Material(image=Image(given=pixels), wrap=("clamp", "clamp"))
@@ -123,7 +126,7 @@ def test_halved_images_keep_each_charts_colour():
         pixels = cv2.resize(pixels, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
 
 
-def test_gaps_are_filled_from_what_is_there():
+def test_gaps_are_filled_from_their_surroundings():
     image, filled = np.zeros((32, 32, 3), np.float32), np.zeros((32, 32), bool)
     filled[4:10, 4:10], filled[20:26, 20:26] = True, True
     image[4:10, 4:10], image[20:26, 20:26] = (200, 100, 0), (0, 100, 200)
@@ -153,7 +156,7 @@ def test_threads_change_nothing(monkeypatch, threads):
     np.testing.assert_array_equal(found.images[0].pixels, expected.images[0].pixels)
 
 
-def test_where_one_image_is_too_small_there_are_several():
+def test_several_images_are_used_if_one_is_too_small():
     original = sheet()
     light = simplify(original, ratio=0.1).mesh
     whole, parts = (bake(light, original, texel_size=0.006, max_size=size) for size in (512, 64))
@@ -167,14 +170,14 @@ def test_where_one_image_is_too_small_there_are_several():
     assert parts.color.psnr > whole.color.psnr - 2
 
 
-def test_texels_get_larger_where_there_were_too_many():
-    baked = bake(square(), sheet(n=40), texel_size=1e-5, max_texels=0.02)
+def test_the_texel_size_grows_above_the_texel_limit():
+    baked = bake(make_square(), sheet(n=40), texel_size=1e-5, max_texels=0.02)
     assert sum(width * height for width, height in baked.sizes) <= 4e4
     assert baked.texel_size > 0.005
 
 
 def test_loose_triangles_fit_with_their_padding():
-    """Each needs its padding: 2,000 of them did not fit into one image."""
+    """Each triangle needs padding; 2,000 triangles once did not fit into one image."""
     rng = np.random.default_rng(0)
     corners = rng.uniform(-1, 1, (2000, 1, 3)) + rng.uniform(-0.05, 0.05, (2000, 3, 3))
     triangles = np.arange(6000, dtype=np.int32).reshape(-1, 3)
@@ -194,8 +197,8 @@ def test_a_triangle_of_any_size_is_baked(size):
     assert baked.sizes == ((64, 64),)
 
 
-def test_what_lies_beyond_a_border_is_found_at_it():
-    """Colours that run on over the edges of a box are right up to each edge, whichever chart shows it."""
+def test_texels_beyond_a_border_show_the_border():
+    """Colours that continue over the edges of a box are right up to each edge, in every chart."""
     box = color_trimesh(trimesh.creation.box()).with_(colors=None)
     fine = color_trimesh(trimesh.creation.box().subdivide().subdivide().subdivide())
     original = fine.with_(colors=np.uint8(127 + 120 * np.sin(3 * fine.vertices)))
@@ -212,8 +215,8 @@ def test_what_lies_beyond_a_border_is_found_at_it():
 
 @pytest.mark.slow
 @pytest.mark.parametrize("scale", [1e-2, 1e-4])
-def test_an_original_that_is_far_smaller_needs_no_large_image(scale):
-    """A triangle of a metre got 16 million texels, each of 16 samples, for the few colours of a tiny ball."""
+def test_a_much_smaller_original_needs_no_large_image(scale):
+    """A triangle of 1 m once got 16 million texels of 16 samples for the few colours of a tiny sphere."""
     original = ball()
     small = original.with_(vertices=original.vertices * scale)
     baked = bake((np.eye(3), np.array([[0, 1, 2]])), small)
@@ -222,7 +225,7 @@ def test_an_original_that_is_far_smaller_needs_no_large_image(scale):
 
 
 @pytest.mark.slow
-def test_tiny_triangles_beside_large_ones_need_no_large_image():
+def test_tiny_triangles_next_to_large_ones_need_no_large_image():
     rng = np.random.default_rng(0)
     corners = rng.normal(size=(60, 3)) * np.repeat(10.0 ** rng.uniform(-6, 0, 20), 3)[:, None]
     triangles = np.arange(60, dtype=np.int32).reshape(-1, 3)
@@ -230,8 +233,8 @@ def test_tiny_triangles_beside_large_ones_need_no_large_image():
     assert max(max(bake(soup, soup).sizes)) <= 512
 
 
-def textured(mesh: Mesh, image: np.ndarray, repeats: float) -> Mesh:
-    """A mesh over the unit square under an image that is repeated so often to each side."""
+def add_texture(mesh: Mesh, image: np.ndarray, repeats: float) -> Mesh:
+    """Texture a mesh over the unit square with an image that repeats `repeats` times in each direction."""
     uvs = repeats * mesh.vertices[mesh.triangles][..., :2]
     material_ids = np.zeros(len(mesh.triangles), np.int32)
     return mesh.with_(colors=None, texture=Texture(uvs, material_ids, (Material(image=Image(given=image)),)))
@@ -239,13 +242,13 @@ def textured(mesh: Mesh, image: np.ndarray, repeats: float) -> Mesh:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("repeats", [5e3, 1e15])
-def test_an_image_that_is_repeated_without_end_becomes_its_mean(repeats):
-    """It got 16 million texels, each of 16 samples, that showed noise."""
+def test_an_image_with_many_repeats_becomes_its_mean(repeats):
+    """Such an image once got 16 million texels of 16 samples that showed noise."""
     image = np.random.default_rng(0).integers(0, 256, (64, 64, 3), np.uint8)
-    original = textured(square(), image, repeats)
-    baked = bake(square(), original)
+    original = add_texture(make_square(), image, repeats)
+    baked = bake(make_square(), original)
     assert max(max(baked.sizes)) < 512
-    triangles, weights, _ = inside(baked.mesh)
+    triangles, weights, _ = sample_inside(baked.mesh)
     assert np.abs(compute_surface_colors(baked.mesh, triangles, weights) - image.mean(axis=(0, 1))).max() < 1
     (diagnostic,) = baked.diagnostics
     ((width, height),) = baked.sizes
@@ -253,32 +256,32 @@ def test_an_image_that_is_repeated_without_end_becomes_its_mean(repeats):
 
 
 def test_details_that_are_too_fine_are_averaged():
-    """Stripes of a texel, of which three lie within one that is baked: each showed some of them only."""
+    """Three stripes of one texel are within one baked texel; formerly only some of them were sampled."""
     image = np.zeros((512, 512, 3), np.uint8)
     image[:, ::2] = 200
-    baked = bake(square(), textured(square(), image, 1.0), max_texels=0.01)
-    triangles, weights, _ = inside(baked.mesh)
+    baked = bake(make_square(), add_texture(make_square(), image, 1.0), max_texels=0.01)
+    triangles, weights, _ = sample_inside(baked.mesh)
     assert compute_surface_colors(baked.mesh, triangles, weights) == pytest.approx(100, abs=20)
     assert [one.code for one in baked.diagnostics] == [TEXTURE_BAKE_LEFT_OUT.name]
 
 
-def test_a_caller_can_stop_it():
+def test_progress_can_stop_baking():
     def stop(*_):
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        bake(square(), sheet(n=4), progress=stop)
+        bake(make_square(), sheet(n=4), progress=stop)
 
 
-def test_what_is_wrong_is_said():
+def test_invalid_input_is_reported():
     with pytest.raises(MeshError, match=r"original: .*neither vertex colours nor a texture"):
-        bake(square(), square(0.1))
+        bake(make_square(), make_square(0.1))
     with pytest.raises(MeshError, match="simplified mesh"):
         bake((np.zeros((3, 3)), np.array([[0, 1, 2]])), sheet(n=4))
     needle = np.array([[0, 0, 0], [1, 0, 0], [0.5, 1e-12, 0]])
     with pytest.raises(MeshError, match="needles"):
         bake((needle, np.array([[0, 1, 2]])), sheet(n=4))
     with pytest.raises(UsageError, match="power of two"):
-        bake(square(), sheet(n=4), max_size=1000)
+        bake(make_square(), sheet(n=4), max_size=1000)
     with pytest.raises(UsageError, match="at most a quarter of max_size"):
-        bake(square(), sheet(n=4), max_size=64, padding=64)
+        bake(make_square(), sheet(n=4), max_size=64, padding=64)

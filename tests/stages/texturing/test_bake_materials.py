@@ -23,23 +23,23 @@ from scanloom.stages.surface.surface_color import compute_surface_colors, sample
 from scanloom.stages.texturing.image_format import estimate_jpeg_quality
 
 
-def kept_image(mesh: Mesh, name: str, material: int = 0) -> Image:
-    """The image of another texture of a material."""
+def get_texture_image(mesh: Mesh, name: str, material: int = 0) -> Image:
+    """Get the image of an additional texture of a material."""
     assert mesh.texture is not None
     kept = mesh.texture.materials[material].kept
     assert isinstance(kept, GltfMaterialSource)
     return kept.textures[kept.tree[name]["index"]][0]
 
 
-def color_difference(mesh: Mesh, original: Mesh) -> float:
-    """Mean difference of colour in levels, at points of a ball, in the direction of the points."""
+def measure_color_difference(mesh: Mesh, original: Mesh) -> float:
+    """Compute the RMS colour difference in levels."""
     from scanloom import stages
 
     return stages.compare(original, mesh, samples=5000).color_a_to_b.rmse
 
 
 @pytest.mark.parametrize("quality", [60, 92])
-def test_jpeg_stays_jpeg_of_its_quality_and_gets_no_larger(tmp_path: Path, quality: int) -> None:
+def test_jpeg_keeps_its_quality_and_does_not_grow(tmp_path: Path, quality: int) -> None:
     mesh = textured_ball(encode_jpeg(waves(), quality))
     found = simplify(mesh, ratio=0.2, bake=True)
     assert found.baked is not None
@@ -55,7 +55,7 @@ def test_jpeg_stays_jpeg_of_its_quality_and_gets_no_larger(tmp_path: Path, quali
     (size,) = found.baked.sizes
     assert size[0] * size[1] <= 512 * 256
     assert found.baked.color.rmse < 4
-    assert color_difference(found.mesh, mesh) < 4
+    assert measure_color_difference(found.mesh, mesh) < 4
 
 
 def test_png_stays_png() -> None:
@@ -65,11 +65,11 @@ def test_png_stays_png() -> None:
     assert found.baked.color.rmse < 3
 
 
-def test_an_image_of_noise_gets_no_more_bytes() -> None:
-    """What is hard to compress has to lose resolution or quality."""
+def test_a_noise_image_does_not_grow() -> None:
+    """An image that is hard to compress loses resolution or quality."""
     flat = waves()
     flat[:] = 90
-    # Source bytes are few, since most of it is flat; what the surface shows is noise.
+    # The source file is small, because most of it is constant; the visible part is noise.
     rng = np.random.default_rng(0)
     flat[64:192] = rng.integers(0, 255, flat[64:192].shape)
     source = encode_jpeg(flat, 90)
@@ -78,7 +78,7 @@ def test_an_image_of_noise_gets_no_more_bytes() -> None:
     assert found.baked.image_bytes <= len(source.file_bytes)
 
 
-def test_alpha_is_baked_where_the_material_uses_it() -> None:
+def test_alpha_is_baked_if_the_material_uses_it() -> None:
     pixels = np.dstack([waves(), np.tile(np.linspace(0, 255, 256)[:, None], (1, 512)).astype(np.uint8)])
     mesh = textured_ball(encode_png(pixels))
     for mode, channels in (("BLEND", 4), ("OPAQUE", 3)):
@@ -93,11 +93,11 @@ def test_alpha_is_baked_where_the_material_uses_it() -> None:
             uvs = np.einsum("kc,kcx->kx", weights, found.mesh.texture.uvs[at])
             alpha = sample_bilinear(image.pixels[..., [3, 3, 3]], uvs, ("clamp", "clamp"))[:, 0]
             polar = np.arccos(places[:, 2] / np.linalg.norm(places, axis=1))
-            # The image runs from pole to pole.
+            # The image covers the sphere from pole to pole.
             assert np.abs(alpha - 255 * polar / np.pi).mean() < 4
 
 
-def test_classes_of_materials_have_atlases_of_their_own() -> None:
+def test_material_classes_have_separate_atlases() -> None:
     red, blue = waves(), waves()
     red[..., 2], blue[..., 0] = 0, 0
     mesh = textured_ball(Image(given=red))
@@ -113,7 +113,7 @@ def test_classes_of_materials_have_atlases_of_their_own() -> None:
     at, weights, places = sample_points(found.mesh)
     colors = compute_surface_colors(found.mesh, at, weights)
     ids = texture.material_ids[at]
-    # The border stays where it was, and neither shows the colours of the other.
+    # The border between materials is unchanged, and neither shows the colours of the other.
     assert (ids[places[:, 2] < -0.1] == 1).all()
     assert (ids[places[:, 2] > 0.1] == 0).all()
     assert colors[ids == 0, 2].max() < 10
@@ -133,10 +133,10 @@ def test_materials_that_differ_in_factors_share_an_atlas() -> None:
     found = simplify(original, ratio=0.3, bake=True)
     (material,) = found.mesh.texture.materials
     assert material.base_color is None
-    assert color_difference(found.mesh, original) < 5
+    assert measure_color_difference(found.mesh, original) < 5
 
 
-def test_a_factor_that_all_share_is_not_baked_twice() -> None:
+def test_a_common_factor_is_not_baked_twice() -> None:
     image, factor = encode_png(waves()), (0.5, 0.25, 1.0, 1.0)
     plain = gltf_material("one", image)
     tinted = Material(
@@ -146,10 +146,10 @@ def test_a_factor_that_all_share_is_not_baked_twice() -> None:
     original = replace_materials(mesh, (tinted,), mesh.texture.material_ids)
     found = simplify(original, ratio=0.3)
     assert found.mesh.texture.materials[0].base_color == factor
-    assert color_difference(found.mesh, original) < 4
+    assert measure_color_difference(found.mesh, original) < 4
 
 
-def test_vertex_colours_that_multiply_an_image_are_baked() -> None:
+def test_vertex_colours_multiplied_with_an_image_are_baked() -> None:
     image = encode_png(waves())
     plain = gltf_material("one", image)
     kept = GltfMaterialSource(
@@ -162,28 +162,28 @@ def test_vertex_colours_that_multiply_an_image_are_baked() -> None:
     found = simplify(original, ratio=0.3)
     assert found.mesh.colors is None
     assert not found.mesh.texture.materials[0].kept.multiplies_vertex_colors
-    assert color_difference(found.mesh, original) < 4
+    assert measure_color_difference(found.mesh, original) < 4
 
 
-def test_an_image_that_repeats_is_baked_where_it_wraps() -> None:
+def test_a_repeating_image_is_baked_across_its_border() -> None:
     mesh = textured_ball(encode_png(waves()))
     moved = mesh.texture.uvs + np.array([0.37, -2.0])
     original = mesh.with_(
         texture=type(mesh.texture)(moved, mesh.texture.material_ids, mesh.texture.materials)
     )
-    assert color_difference(simplify(original, ratio=0.3).mesh, original) < 4
+    assert measure_color_difference(simplify(original, ratio=0.3).mesh, original) < 4
 
 
-def test_normals_of_a_map_stay_where_they_were_in_space() -> None:
+def test_normal_maps_keep_world_space_normals() -> None:
     mesh, normals_at = bumpy_plane()
     found = simplify(mesh, ratio=0.05).mesh
     assert len(found.triangles) < len(mesh.triangles) / 10
     at, weights, places = sample_points(found)
-    image = kept_image(found, "normalTexture")
+    image = get_texture_image(found, "normalTexture")
     uvs = found.texture.uvs
     texels = sample_bilinear(image.pixels, np.einsum("kc,kcx->kx", weights, uvs[at]), ("clamp", "clamp"))
     local = texels / 127.5 - 1
-    # The frame of each triangle by its own edges, as the plane has one normal.
+    # Tangent frame of each triangle from its edges; the plane has a single normal.
     corners = found.vertices[found.triangles]
     edges, steps = corners[:, 1:] - corners[:, :1], uvs[:, 1:] - uvs[:, :1]
     frame = np.linalg.solve(steps, edges)
@@ -205,7 +205,7 @@ def test_other_maps_keep_their_values() -> None:
     )
     mesh = textured_ball(image)
     found = simplify(replace_materials(mesh, (material,), mesh.texture.material_ids), ratio=0.3).mesh
-    pixels = kept_image(found, "occlusionTexture").pixels
+    pixels = get_texture_image(found, "occlusionTexture").pixels
     assert np.abs(pixels[..., 1:].astype(int) - 40).max() <= 1
     as_mesh = mesh.with_(
         texture=replace_materials(
@@ -215,9 +215,9 @@ def test_other_maps_keep_their_values() -> None:
     shown = replace_materials(
         found, (Material("o", Image(given=pixels), wrap=("clamp", "clamp")),), found.texture.material_ids
     )
-    assert color_difference(shown, as_mesh) < 4
-    # One image for two textures stays one for each.
-    assert kept_image(found, "emissiveTexture").pixels.shape == found.texture.images[0].pixels.shape
+    assert measure_color_difference(shown, as_mesh) < 4
+    # An image that two textures share becomes one image for each.
+    assert get_texture_image(found, "emissiveTexture").pixels.shape == found.texture.images[0].pixels.shape
 
 
 def test_equal_input_gives_equal_bytes() -> None:

@@ -1,4 +1,4 @@
-"""How bright photos are, from points that several of them show."""
+"""Exposures of photos, estimated from common points."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ import pytest
 from scanloom.stages.texturing.exposure import estimate_exposures
 
 
-def samples(
+def make_samples(
     gains: np.ndarray, biases: np.ndarray, largest_radius2: float, light: tuple[float, float], seed: int = 0
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return what four photos say of 3,000 points: their numbers, levels, and squared radii."""
+    """Make observations of 3,000 points by four photos each: photo indices, levels, squared radii."""
     rng = np.random.default_rng(seed)
     count = 3000
     level = rng.uniform(40, 120, count)[:, None, None]
@@ -23,34 +23,34 @@ def samples(
     return views, noisy.clip(0, 255).astype(np.uint8), radii2
 
 
-def grey_after(exposure: object, level: int = 80) -> np.ndarray:
+def correct_grey(exposure: object, level: int = 80) -> np.ndarray:
     return exposure.correct(np.full((60, 80, 3), level, np.uint8))[30, 40]  # type: ignore[attr-defined]
 
 
-def test_gains_and_biases_are_found() -> None:
+def test_gains_and_biases_are_estimated() -> None:
     gains, biases = np.array([0.7, 0.9, 1.0, 1.1, 1.4]), np.array([8.0, -6.0, 0.0, 4.0, -6.0])
-    found = estimate_exposures(*samples(gains, biases, 1.0, (0.0, 0.0)), count=5)
+    found = estimate_exposures(*make_samples(gains, biases, 1.0, (0.0, 0.0)), count=5)
     usual = gains / np.exp(np.log(gains).mean())
     for one, gain in zip(found.photos, usual, strict=True):
         np.testing.assert_allclose(one.gain, gain, rtol=0.03)
     assert found.difference_after < 0.2 * found.difference_before
-    # What all have in common is told alike by all.
+    # A common change of all photos cannot be estimated, so only equality is checked.
     shown = [
-        grey_after(one, round(80 * g + b)) for one, g, b in zip(found.photos, gains, biases, strict=True)
+        correct_grey(one, round(80 * g + b)) for one, g, b in zip(found.photos, gains, biases, strict=True)
     ]
     assert np.ptp(np.stack(shown).astype(int), axis=0).max() <= 3
     assert np.mean(shown) == pytest.approx(80, rel=0.1)
 
 
-def test_the_vignette_of_a_lens_is_found() -> None:
-    found = estimate_exposures(*samples(np.ones(5), np.zeros(5), 1.0, (-0.3, -0.1)), count=5)
+def test_vignetting_is_estimated() -> None:
+    found = estimate_exposures(*make_samples(np.ones(5), np.zeros(5), 1.0, (-0.3, -0.1)), count=5)
     v = found.photos[0].vignette
     assert 1 + v[1] + v[2] == pytest.approx(0.6, rel=0.1)
 
 
-def test_a_thing_in_the_middle_of_all_photos_has_no_vignette() -> None:
-    """What is brighter at its rim says nothing of the corners, where nothing is."""
-    found = estimate_exposures(*samples(np.ones(5), np.zeros(5), 0.05, (4.0, 10.0)), count=5)
+def test_an_object_in_the_centre_of_all_photos_gives_no_vignetting() -> None:
+    """Brightness changes near the centre must not be extrapolated to the corners, where no data is."""
+    found = estimate_exposures(*make_samples(np.ones(5), np.zeros(5), 0.05, (4.0, 10.0)), count=5)
     for one in found.photos:
         assert one.vignette == (1.0, 0.0, 0.0)
-        np.testing.assert_allclose(grey_after(one), 80, atol=12)
+        np.testing.assert_allclose(correct_grey(one), 80, atol=12)

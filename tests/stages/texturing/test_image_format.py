@@ -19,7 +19,7 @@ from scanloom.stages.texturing.image_format import (
 
 @pytest.mark.parametrize("quality", [15, 50, 75, 90, 97])
 @pytest.mark.parametrize("subsampling", [0, 2])
-def test_the_quality_of_a_jpeg_is_found(quality: int, subsampling: int) -> None:
+def test_the_quality_of_a_jpeg_is_estimated(quality: int, subsampling: int) -> None:
     found, is_subsampled = estimate_jpeg_quality(encode_jpeg(waves(), quality, subsampling).file_bytes)
     assert abs(found - quality) <= 1
     assert is_subsampled == (subsampling == 2)
@@ -39,7 +39,7 @@ def test_the_format_is_that_of_the_sources() -> None:
 
 
 @pytest.mark.parametrize("kind", ["jpeg", "webp", "png"])
-def test_images_are_encoded_within_so_many_bytes(kind: str) -> None:
+def test_images_are_encoded_within_a_byte_limit(kind: str) -> None:
     pixels = np.random.default_rng(0).integers(0, 255, (128, 192, 3)).astype(np.uint8)
     form = ImageFormat(kind, 90)
     whole = len(encode(pixels, form))
@@ -53,7 +53,7 @@ def test_images_are_encoded_within_so_many_bytes(kind: str) -> None:
     assert same.quality == (None if kind == "png" else 90)
 
 
-def test_quality_gives_way_before_resolution() -> None:
+def test_quality_is_reduced_before_resolution() -> None:
     pixels = waves()
     form = ImageFormat("jpeg", 90)
     whole = len(encode(pixels, form))

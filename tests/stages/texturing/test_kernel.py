@@ -1,4 +1,4 @@
-"""The kernels of texturing against independent ones: what a camera sees, what several threads find."""
+"""Texturing kernels, compared with independent implementations and across thread counts."""
 
 from dataclasses import replace
 
@@ -19,17 +19,17 @@ from scanloom.stages.texturing.photos import load_photos
 from scanloom.stages.texturing.seam_visibility import SeamStatistics
 
 
-def camera(place: np.ndarray) -> tuple:
+def make_kernel_camera(place: np.ndarray) -> tuple:
     return to_kernel_camera(CAMERA, invert_pose(place))
 
 
 @pytest.mark.parametrize("shape", ["ball", "room"])
-def test_a_camera_sees_what_rays_meet(shape):
-    # From outside a ball, and from inside a room whose walls reach behind the camera.
+def test_the_z_buffer_agrees_with_ray_casting(shape):
+    # From outside a sphere, and from inside a room with walls behind the camera.
     mesh = ball() if shape == "ball" else color_trimesh(trimesh.creation.box((3, 2, 4)))
     place = pose(0.1, 0.05, z=-2.5) if shape == "ball" else pose(0.3, -0.2, z=0.4, turn=40)
     depth, triangles = _kernels.MeshRenderer(mesh.vertices, mesh.triangles).render_zbuffer(
-        camera(place), near=1e-3
+        make_kernel_camera(place), near=1e-3
     )
     rows, columns = np.mgrid[: CAMERA.height, : CAMERA.width]
     x, y = (columns - CAMERA.cx) / CAMERA.fx, (rows - CAMERA.cy) / CAMERA.fy
@@ -38,7 +38,7 @@ def test_a_camera_sees_what_rays_meet(shape):
     expected = np.full(rows.size, np.inf)
     expected[hits.rays] = hits.distances
     seen = np.isfinite(depth.ravel())
-    # Rounding may part the two at the pixels of an outline.
+    # Rounding may decide at the pixels of an outline.
     assert np.mean(seen != np.isfinite(expected)) < 2e-3
     both = seen & np.isfinite(expected)
     assert both.any()
@@ -50,8 +50,8 @@ def test_a_camera_sees_what_rays_meet(shape):
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_of_many_parts_what_is_nearest_is_seen(seed):
-    # Hills of many parts, most of them not before the camera, in an order that tells nothing.
+def test_the_z_buffer_keeps_the_nearest_of_many_parts(seed):
+    # Hills of many parts in random order, most of them not in front of the camera.
     rng = np.random.default_rng(seed)
     x, y = np.meshgrid(np.arange(70.0), np.arange(70.0))
     hills = np.stack([x, y, 3 * np.sin(x / 5) * np.cos(y / 4)], -1).reshape(-1, 3) / 20
@@ -64,11 +64,13 @@ def test_of_many_parts_what_is_nearest_is_seen(seed):
     mesh = _kernels.MeshRenderer(hills, faces)
     parts = mesh.triangle_clusters()
     assert len(np.unique(parts)) > 20
-    depth, triangles = mesh.render_zbuffer(camera(place), near=1e-3)
-    # Each few triangles drawn alone, and of all what is nearest, the first of those that are as near.
+    depth, triangles = mesh.render_zbuffer(make_kernel_camera(place), near=1e-3)
+    # Reference: each few triangles are rendered separately and combined by depth; ties go to the first.
     nearest, seen = np.full(depth.shape, np.float32(np.inf)), np.full(depth.shape, -1)
     for rows in np.array_split(np.arange(len(faces)), 97):
-        alone, own = _kernels.MeshRenderer(hills, faces[rows]).render_zbuffer(camera(place), near=1e-3)
+        alone, own = _kernels.MeshRenderer(hills, faces[rows]).render_zbuffer(
+            make_kernel_camera(place), near=1e-3
+        )
         is_nearer = alone < nearest
         nearest[is_nearer], seen[is_nearer] = alone[is_nearer], rows[own[is_nearer]]
     np.testing.assert_array_equal(depth, nearest)
@@ -76,7 +78,7 @@ def test_of_many_parts_what_is_nearest_is_seen(seed):
     assert 0 < len(np.unique(parts[seen[seen >= 0]])) < len(np.unique(parts))
 
 
-def test_threads_change_nothing():
+def test_results_do_not_depend_on_the_number_of_threads():
     mesh, frames = wall(), photos(5)
     of = np.repeat(np.arange(len(mesh.triangles), dtype=np.uint32), 100)
     shares = np.random.default_rng(0).dirichlet((1, 1, 1), len(of)).astype(np.float32)
@@ -119,27 +121,27 @@ def test_the_best_views_come_first_and_show_the_paint():
     assert (views[inner, 0] >= 0).all()
 
 
-def seam_ratio(image: np.ndarray, labels: np.ndarray) -> float | None:
+def compute_seam_ratio(image: np.ndarray, labels: np.ndarray) -> float | None:
     sums = SeamStatistics()
     sums.add(image, labels)
     return sums.compute_ratio()
 
 
-def test_a_seam_is_seen_in_the_ratio():
+def test_a_seam_increases_the_ratio():
     rng = np.random.default_rng(1)
     image = (120 + 3 * rng.standard_normal((64, 64, 3))).astype(np.float32)
     labels = np.zeros((64, 64), np.int32)
     labels[:, 32:] = 1
     labels = np.tile(labels, (1, 4))
     image = np.tile(image, (1, 4, 1))
-    assert seam_ratio(image, labels) == pytest.approx(1, abs=0.1)
+    assert compute_seam_ratio(image, labels) == pytest.approx(1, abs=0.1)
     stepped = image + 20 * (labels[..., None] == 1)
-    assert seam_ratio(stepped.astype(np.float32), labels) > 2
-    assert seam_ratio(image, np.zeros_like(labels)) is None
+    assert compute_seam_ratio(stepped.astype(np.float32), labels) > 2
+    assert compute_seam_ratio(image, np.zeros_like(labels)) is None
 
 
-def looked_at(frames: list, order: list[int]) -> _kernels.SurfacePoints:
-    """Return points all over the wall, seen by some of the frames."""
+def sample_wall(frames: list, order: list[int]) -> _kernels.SurfacePoints:
+    """Sample points all over the wall from some of the frames."""
     mesh = wall()
     of = np.repeat(np.arange(len(mesh.triangles), dtype=np.uint32), 20)
     shares = np.random.default_rng(0).dirichlet((1, 1, 1), len(of)).astype(np.float32)
@@ -147,7 +149,7 @@ def looked_at(frames: list, order: list[int]) -> _kernels.SurfacePoints:
         mesh.vertices, compute_vertex_normals(mesh), mesh.triangles, of, shares, samples_per_point=3
     )
     one = load_photos([frames[number] for number in order], ignore_progress)
-    # Sharpness is judged among those taken one after the other: not here.
+    # Relative sharpness needs consecutive photos, which these are not.
     one = replace(one, weights=np.ones(len(one)))
     sample_photos(
         points, prepare_render_mesh(mesh), one, [make_identity_exposure()] * len(one), None, lambda: None
@@ -156,9 +158,9 @@ def looked_at(frames: list, order: list[int]) -> _kernels.SurfacePoints:
 
 
 @pytest.mark.parametrize("order", [[0, 1, 2, 3], [3, 2, 1, 0], [1, 3, 0, 2]])
-def test_a_flat_look_counts_only_where_there_is_no_other(order):
+def test_an_oblique_photo_is_used_only_without_alternatives(order):
     frames = [*photos(3), make_grazing_photo(3)]
-    without, flat = looked_at(frames, [n for n in order if n != 3]), looked_at(frames, order)
+    without, flat = sample_wall(frames, [n for n in order if n != 3]), sample_wall(frames, order)
     named = [np.append(chosen, -1) for chosen in ([n for n in order if n != 3], order)]
     straight = without.samples()[0][:, 0] >= 0
     assert 0.5 < straight.mean() < 1
@@ -176,18 +178,18 @@ def test_a_flat_look_counts_only_where_there_is_no_other(order):
     assert (only[:, 1:] == -1).all()
 
 
-def test_a_photo_alone_may_be_flatter_than_one_of_several():
-    # At 88° and more of the farther half.
+def test_a_single_photo_may_be_more_oblique():
+    # At 88° and more on the farther half.
     low = replace(make_grazing_photo(0, z=-0.03, turn=-85), depth=None)
     away = replace(low, name="away", world_from_camera=pose(9, 9))
-    alone, beside = looked_at([low], [0]), looked_at([low, away], [0, 1])
+    alone, beside = sample_wall([low], [0]), sample_wall([low, away], [0, 1])
     assert alone.grazing_mask().mean() > 0.5
     assert beside.grazing_mask().mean() < 0.2 * alone.grazing_mask().mean()
 
 
-def test_a_flat_look_does_not_see_through_what_is_before_it():
+def test_an_oblique_photo_does_not_see_through_occluders():
     mesh, frame = wall(), replace(make_grazing_photo(0), depth=None)
-    # A board on the wall, square to it, across what is farther from the camera.
+    # A board perpendicular to the wall that hides the part farther from the camera.
     board = Mesh(
         np.array([(0.5, 0, 0), (0.5, 1, 0), (0.5, 1, -0.4), (0.5, 0, -0.4)]),
         np.array([(0, 1, 2), (0, 2, 3), (0, 2, 1), (0, 3, 2)], np.int32),
@@ -205,6 +207,6 @@ def test_a_flat_look_does_not_see_through_what_is_before_it():
     sample_photos(points, prepare_render_mesh(both), one, [make_identity_exposure()], None, lambda: None)
     x = mesh.vertices[mesh.triangles].mean(axis=1)[:, 0]
     seen = points.density() > 0
-    # By a pixel, which is a tenth of the way there, it may be wrong.
+    # One pixel, a tenth of the distance here, may be wrong.
     assert not seen[x < 0.3].any()
     assert seen[(x > 0.55) & (x < 0.9)].mean() > 0.4

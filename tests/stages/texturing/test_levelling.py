@@ -1,4 +1,4 @@
-"""Borders that photos leave where they end are levelled: by an equation that SciPy solves, too."""
+"""Levelling of seams between photos, compared with SciPy's solution of the same equation."""
 
 from dataclasses import replace
 from typing import NamedTuple
@@ -21,12 +21,12 @@ from scanloom.stages.texturing.texture import texture
 
 SIDE = 120
 REACH = 8.0
-# Photos that differ by more from the colour that they count in show something else.
+# Photos that differ more than this from the dominant colour show other content.
 ELSE = 40
 
 
-class Seen(NamedTuple):
-    """The wall in an image of SIDE × SIDE pixels: those that are there, what photos show, and their blend."""
+class SampledWall(NamedTuple):
+    """The wall in an image of SIDE × SIDE pixels: covered pixels, photo samples, and blended colours."""
 
     points: _kernels.SurfacePoints
     pixels: np.ndarray
@@ -38,8 +38,8 @@ class Seen(NamedTuple):
         return found
 
 
-def seen(offsets: list[float], there: np.ndarray | None = None) -> Seen:
-    """Photos of parts of the wall, each brighter by so much, at some pixels (SIDE, SIDE)."""
+def sample_wall(offsets: list[float], there: np.ndarray | None = None) -> SampledWall:
+    """Sample photos of parts of the wall with brightness offsets, at a mask of pixels (SIDE, SIDE)."""
     there = np.ones((SIDE, SIDE), bool) if there is None else there
     places = [(x, y) for x in (0.25, 0.5, 0.75) for y in (0.3, 0.7)]
     frames = [photo(n, pose(x, y, z=-0.9)) for n, (x, y) in enumerate(places[: len(offsets)])]
@@ -50,7 +50,7 @@ def seen(offsets: list[float], there: np.ndarray | None = None) -> Seen:
     mesh = wall(1)
     rows, columns = np.nonzero(there)
     x, y = (columns + 0.5) / SIDE, (rows + 0.5) / SIDE
-    # The cell's triangles are (0, 2, 1) and (1, 2, 3) of its corners (0, 0), (1, 0), (0, 1), (1, 1).
+    # The triangles of the cell are (0, 2, 1) and (1, 2, 3) of its corners (0, 0), (1, 0), (0, 1), (1, 1).
     is_second = x + y > 1
     shares = np.where(
         is_second[:, None], np.stack([1 - y, 1 - x, x + y - 1], 1), np.stack([1 - x - y, y, x], 1)
@@ -70,11 +70,11 @@ def seen(offsets: list[float], there: np.ndarray | None = None) -> Seen:
         points, prepare_render_mesh(mesh), used, [make_identity_exposure()] * len(used), None, lambda: None
     )
     colors, _, _ = points.blend(blurred=1, details=1, deviations=50, levels=255, wanted_threads=1)
-    return Seen(points, (rows * SIDE + columns)[order].astype(np.uint32), colors)
+    return SampledWall(points, (rows * SIDE + columns)[order].astype(np.uint32), colors)
 
 
-def pairs(pixels: np.ndarray) -> np.ndarray:
-    """Points whose pixels are beside or above each other (k, 2)."""
+def list_pairs(pixels: np.ndarray) -> np.ndarray:
+    """List pairs of points in horizontally or vertically adjacent pixels (k, 2)."""
     at = np.full(SIDE * SIDE, -1)
     at[pixels] = np.arange(len(pixels))
     at = at.reshape(SIDE, SIDE)
@@ -83,19 +83,19 @@ def pairs(pixels: np.ndarray) -> np.ndarray:
     return both[(both >= 0).all(axis=1)]
 
 
-def changes(one: Seen) -> tuple[np.ndarray, np.ndarray]:
-    """Return the pairs, and of which the photos that are kept differ."""
+def find_changes(one: SampledWall) -> tuple[np.ndarray, np.ndarray]:
+    """List the pairs, and mask the pairs with different sets of photos."""
     views = np.sort(one.points.samples()[0], axis=1)
-    found = pairs(one.pixels)
+    found = list_pairs(one.pixels)
     return found, (views[found[:, 0]] != views[found[:, 1]]).any(axis=1)
 
 
-def solved(one: Seen, reach: float) -> np.ndarray:
-    """The equation's solution, from nothing but its words."""
+def solve_equation(one: SampledWall, reach: float) -> np.ndarray:
+    """Solve the documented equation with SciPy."""
     views, colors, scores = one.points.samples()
     matrix = sparse.lil_matrix((len(one.pixels), len(one.pixels)))
     right = np.zeros((len(one.pixels), 3))
-    for (a, b), differs in zip(*changes(one), strict=True):
+    for (a, b), differs in zip(*find_changes(one), strict=True):
         wanted = np.zeros(3)
         if (views[a] < 0).all() or (views[b] < 0).all():
             continue
@@ -126,22 +126,22 @@ def solved(one: Seen, reach: float) -> np.ndarray:
 OFFSETS = [8.0, -8.0, 5.0, -6.0, 9.0, -3.0]
 
 
-def test_it_solves_its_equation():
+def test_levelling_solves_its_equation():
     rng = np.random.default_rng(4)
     there = rng.random((SIDE, SIDE)) > 0.03
     there[:, 70:73] = False
-    one = seen(OFFSETS, there)
-    found, wanted = one.levelled(), solved(one, REACH)
+    one = sample_wall(OFFSETS, there)
+    found, wanted = one.levelled(), solve_equation(one, REACH)
     by = np.abs(wanted - one.colors).max()
     assert by > 3
-    # A few sweeps from coarse to fine in place of an exact solution.
+    # The kernel uses a few multigrid sweeps instead of an exact solution.
     assert np.abs(found - wanted).max() < 0.03 * by
     assert np.sqrt(np.mean((found - wanted) ** 2)) < 0.03 * np.sqrt(np.mean((wanted - one.colors) ** 2))
 
 
-def test_borders_are_hardly_seen_any_more():
-    one = seen(OFFSETS)
-    at, differ = changes(one)
+def test_levelled_seams_are_hardly_visible():
+    one = sample_wall(OFFSETS)
+    at, differ = find_changes(one)
     assert 0.005 < differ.mean() < 0.3
 
     def ratio(colors: np.ndarray) -> float:
@@ -157,17 +157,17 @@ def test_borders_are_hardly_seen_any_more():
     assert off[1] < off[0] + 0.1
 
 
-def labels_of(one: Seen) -> np.ndarray:
+def get_labels(one: SampledWall) -> np.ndarray:
     return one.points.blend(blurred=1, details=1, deviations=50, levels=255, wanted_threads=1)[1]
 
 
-def test_neighbours_are_those_of_some_rows_as_the_photo_shows_them_that_counts_most():
-    one = seen(OFFSETS, np.random.default_rng(3).random((SIDE, SIDE)) < 0.7)
-    labels = labels_of(one)
+def test_neighbours_are_sampled_from_the_dominant_photo():
+    one = sample_wall(OFFSETS, np.random.default_rng(3).random((SIDE, SIDE)) < 0.7)
+    labels = get_labels(one)
     pairs_found, shown = one.points.collect_neighbours(labels, one.pixels, width=SIDE, row_step=3)
     views, colors, scores = one.points.samples()
     wanted = {}
-    for a, b in pairs(one.pixels):
+    for a, b in list_pairs(one.pixels):
         if one.pixels[a] // SIDE % 3:
             continue
         for label in (labels[a], labels[b]):
@@ -179,9 +179,9 @@ def test_neighbours_are_those_of_some_rows_as_the_photo_shows_them_that_counts_m
     assert {tuple(pair): both.tolist() for pair, both in zip(pairs_found, shown, strict=True)} == wanted
 
 
-def test_neighbours_want_what_goes_with_the_points():
-    one = seen(OFFSETS[:1])
-    labels = labels_of(one)
+def test_neighbour_arguments_must_match_the_points():
+    one = sample_wall(OFFSETS[:1])
+    labels = get_labels(one)
     for wrong in (
         {"labels": labels[1:]},
         {"pixels": one.pixels[1:]},
@@ -193,9 +193,9 @@ def test_neighbours_want_what_goes_with_the_points():
             one.points.collect_neighbours(given.pop("labels"), given.pop("pixels"), **given)
 
 
-def test_borders_that_are_blended_differ_as_photos_do_and_those_of_one_photo_by_more():
-    one = seen([4.0 * offset for offset in OFFSETS])
-    labels = labels_of(one)
+def test_blended_seams_are_as_strong_as_photo_edges_and_unblended_ones_stronger():
+    one = sample_wall([4.0 * offset for offset in OFFSETS])
+    labels = get_labels(one)
 
     def over_photos(colors: np.ndarray) -> float:
         sums, image, label = (
@@ -208,63 +208,63 @@ def test_borders_that_are_blended_differ_as_photos_do_and_those_of_one_photo_by_
         sums.add(image.reshape(SIDE, SIDE, 3), label.reshape(SIDE, SIDE).astype(np.int32), beside)
         return sums.compute_ratio_over_photos()
 
-    # Of one photo alone at each place, which are not equally bright.
+    # A single photo per point, without blending, so that exposure differences are visible.
     views, shown, _ = one.points.samples()
     alone = shown[np.arange(len(labels)), (views == labels[:, None]).argmax(axis=1)].astype(np.float32)
     assert over_photos(alone) > 1.15
     assert over_photos(one.levelled()) == pytest.approx(1, abs=0.1)
 
 
-def test_without_borders_nothing_is_over_photos():
+def test_without_seams_there_is_no_ratio():
     sums = SeamStatistics()
     sums.add(np.zeros((20, 20, 3), np.float32), np.zeros((20, 20), np.int32), np.zeros((2, 2)))
     assert sums.compute_ratio_over_photos() is None
 
 
-def test_where_the_same_photos_count_nothing_changes():
-    one = seen([8.0])
+def test_pixels_with_equal_photos_are_unchanged():
+    one = sample_wall([8.0])
     assert np.array_equal(one.levelled(), one.colors)
 
 
-def test_photos_that_agree_change_little():
-    one = seen([0.0] * 6)
+def test_consistent_photos_are_hardly_changed():
+    one = sample_wall([0.0] * 6)
     assert np.abs(one.levelled() - one.colors).max() < 2
 
 
 def test_nothing_is_levelled_across_a_gap():
     there = np.ones((SIDE, SIDE), bool)
     there[:, 60] = False
-    both, left = seen(OFFSETS, there), seen(OFFSETS, there & (np.arange(SIDE) < 60))
+    both, left = sample_wall(OFFSETS, there), sample_wall(OFFSETS, there & (np.arange(SIDE) < 60))
     at = {pixel: i for i, pixel in enumerate(both.pixels)}
     same = np.array([at[pixel] for pixel in left.pixels])
     assert np.array_equal(both.colors[same], left.colors)
-    # Where the coarse cells lie is the same for both.
+    # Coarse cells have the same positions in both.
     np.testing.assert_allclose(both.levelled()[same], left.levelled(), atol=0.3)
 
 
 @pytest.mark.parametrize("threads", [2, 5])
-def test_threads_change_no_bit(threads: int):
-    one = seen(OFFSETS)
+def test_results_do_not_depend_on_the_number_of_threads(threads: int):
+    one = sample_wall(OFFSETS)
     assert np.array_equal(one.levelled(), one.levelled(threads))
 
 
 @pytest.mark.parametrize("named", [{"width": 0}, {"reach": 0.0}, {"reach": float("nan")}, {"reach": 1e9}])
-def test_what_means_nothing_is_refused(named: dict[str, float]):
-    one = seen([0.0])
+def test_invalid_arguments_are_refused(named: dict[str, float]):
+    one = sample_wall([0.0])
     given = {"width": SIDE, "reach": REACH, "wanted_threads": 1} | named
     with pytest.raises(ValueError, match="do not match"):
         one.points.level_seams(one.colors, one.pixels, **given)
 
 
-def test_points_need_a_pixel_each():
-    one = seen([0.0])
+def test_each_point_needs_a_pixel():
+    one = sample_wall([0.0])
     for pixels in (one.pixels[:-1], np.full_like(one.pixels, 2**32 - 1)):
         with pytest.raises(ValueError, match="do not match"):
             one.points.level_seams(one.colors, pixels, width=SIDE, reach=REACH, wanted_threads=1)
 
 
-def test_a_texture_of_photos_that_differ_shows_fewer_borders(monkeypatch: pytest.MonkeyPatch):
-    # Something stands before the wall in each photo, somewhere else: photos end all over it.
+def test_levelling_reduces_seams_of_a_texture(monkeypatch: pytest.MonkeyPatch):
+    # An occluder at a different position in each photo makes photo borders everywhere.
     rng = np.random.default_rng(2)
     frames = []
     for number, (x, y) in enumerate(rng.uniform(0.3, 0.7, (8, 2))):

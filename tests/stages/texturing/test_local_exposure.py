@@ -1,4 +1,4 @@
-"""Photos that differ in brightness here and there are brought to what the others say, and nothing else is."""
+"""Local exposure differences between photos are corrected, and nothing else is changed."""
 
 from dataclasses import replace
 
@@ -17,12 +17,12 @@ STILL = np.zeros((61, 81, 2), np.float16)
 ALL = np.ones((HEIGHT, WIDTH), bool)
 
 
-def picture() -> np.ndarray:
+def make_picture() -> np.ndarray:
     return np.array(photo(0, pose(0.5, 0.5, z=-0.4)).color)
 
 
-def glossy(frame: Frame, number: int) -> Frame:
-    """The frame with a light that is reflected somewhere else in each photo."""
+def add_reflection(frame: Frame, number: int) -> Frame:
+    """Add a reflected light at a different position in each photo."""
     v, u = np.mgrid[:HEIGHT, :WIDTH]
     x, y = WIDTH * ((0.37 * number) % 1), HEIGHT * ((0.61 * number) % 1)
     light = 30 * np.exp(-((u - x) ** 2 + (v - y) ** 2) / (2 * 30**2))
@@ -30,8 +30,8 @@ def glossy(frame: Frame, number: int) -> Frame:
     return replace(frame, color=np.where(np.array(frame.color) > 0, image, 0).astype(np.uint8))
 
 
-def test_a_photo_that_is_brighter_here_and_there_is_made_even():
-    drawn = picture()
+def test_local_brightness_differences_are_corrected():
+    drawn = make_picture()
     v, u = np.mgrid[:HEIGHT, :WIDTH]
     brighter = 20 * np.sin(u / WIDTH * 2 * np.pi) * np.cos(v / HEIGHT * np.pi)
     seen = np.rint(drawn + brighter[..., None]).clip(0, 255).astype(np.uint8)
@@ -41,19 +41,19 @@ def test_a_photo_that_is_brighter_here_and_there_is_made_even():
     assert after < 0.25 * before
 
 
-def test_an_even_photo_stays_as_it_is():
-    drawn = picture()
+def test_a_uniform_photo_is_unchanged():
+    drawn = make_picture()
     exposure = estimate_local_exposure(drawn, ALL, drawn, STILL)
     assert not exposure.any()
     assert np.array_equal(apply_local_exposure(drawn, exposure), drawn)
 
 
-def test_what_is_something_else_or_is_not_seen_says_nothing_of_brightness():
+def test_other_content_and_unseen_pixels_do_not_affect_exposure():
     drawn = np.full((HEIGHT, WIDTH, 3), 100, np.uint8)
     seen = drawn.copy()
     seen[40:80, 60:100] = (220, 30, 180)
     assert not estimate_local_exposure(drawn, ALL, seen, STILL).any()
-    # The same patch in a colour nearer to what is there would count, but for what the mesh does not show.
+    # The same patch with a closer colour would count, except for pixels that the mesh does not cover.
     seen[40:80, 60:100] = 120
     assert np.abs(to_levels(estimate_local_exposure(drawn, ALL, seen, STILL))).max() > 10
     without = ALL.copy()
@@ -61,10 +61,10 @@ def test_what_is_something_else_or_is_not_seen_says_nothing_of_brightness():
     assert not estimate_local_exposure(drawn, without, seen, STILL).any()
 
 
-def test_a_large_photo_is_made_as_even_as_a_small_one():
+def test_large_photos_are_corrected_like_small_ones():
     size = (8 * WIDTH, 8 * HEIGHT)
-    drawn = picture()
-    seen = np.array(glossy(replace(photo(0, pose(0.5, 0.5, z=-0.4)), color=drawn), 1).color)
+    drawn = make_picture()
+    seen = np.array(add_reflection(replace(photo(0, pose(0.5, 0.5, z=-0.4)), color=drawn), 1).color)
     small = estimate_local_exposure(drawn, ALL, seen, STILL)
     large_drawn, large_seen = (cv2.resize(one, size, interpolation=cv2.INTER_CUBIC) for one in (drawn, seen))
     large = estimate_local_exposure(large_drawn, np.ones(size[::-1], bool), large_seen, STILL)
@@ -72,7 +72,7 @@ def test_a_large_photo_is_made_as_even_as_a_small_one():
     assert np.abs(to_levels(large) - to_levels(small)).max() < 1.5
 
 
-def test_details_of_a_photo_stay():
+def test_details_of_a_photo_are_kept():
     drawn = np.full((HEIGHT, WIDTH, 3), 100, np.uint8)
     seen = drawn.copy()
     seen[:, ::2] += 16
@@ -81,11 +81,11 @@ def test_details_of_a_photo_stay():
     assert np.abs(even.astype(int) - seen).max() <= 1
 
 
-def test_lights_that_move_with_the_camera_leave_no_borders(monkeypatch: pytest.MonkeyPatch):
-    # Few photos, each of a part of the wall: their borders are all over it.
+def test_moving_reflections_leave_no_seams(monkeypatch: pytest.MonkeyPatch):
+    # Few photos of parts of the wall, so that their borders are everywhere.
     places = [(x, y) for x in (0.3, 0.5, 0.7) for y in (0.3, 0.5, 0.7)]
-    frames = [glossy(photo(n, pose(x, y, z=-0.5)), n) for n, (x, y) in enumerate(places)]
-    # Else none of either is seen.
+    frames = [add_reflection(photo(n, pose(x, y, z=-0.5)), n) for n, (x, y) in enumerate(places)]
+    # Levelling would remove the seams in both results.
     monkeypatch.setattr(photo_painting, "level_seams", lambda *_: None)
     with_it = texture(wall(), frames, format="png")
     monkeypatch.setattr(photo_painting, "estimate_local_exposure", lambda *_: np.zeros((18, 24, 3), np.int8))

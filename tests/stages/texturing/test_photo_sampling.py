@@ -1,4 +1,4 @@
-"""A photo without its details, found at half the size, is what a Gaussian of the whole leaves."""
+"""Blurring a photo at half resolution equals a Gaussian blur at full resolution."""
 
 import cv2
 import numpy as np
@@ -7,7 +7,7 @@ import pytest
 from scanloom.stages.texturing.photo_sampling import _BLUR_RATIO, _blur_photo
 
 
-def picture(width: int, height: int) -> np.ndarray:
+def make_picture(width: int, height: int) -> np.ndarray:
     noise = np.random.default_rng(0).integers(0, 256, (height, width, 3)).astype(np.uint8)
     return np.asarray(cv2.GaussianBlur(noise, (0, 0), 2))
 
@@ -16,9 +16,9 @@ def picture(width: int, height: int) -> np.ndarray:
 @pytest.mark.parametrize("is_masked", [False, True])
 def test_a_photo_without_details(size: tuple[int, int], is_masked: bool):
     width, height = size
-    image, seen = picture(width, height), np.ones((height, width), bool)
+    image, seen = make_picture(width, height), np.ones((height, width), bool)
     if is_masked:
-        # What a photo does not show must not count: it is as bright as can be.
+        # Masked pixels must not count, so they have the maximum value.
         seen[: height // 8] = seen[height // 2 :, : width // 3] = False
         image[~seen] = 255
     spread, weight = max(_BLUR_RATIO * width, 0.5), seen.astype(np.float32)

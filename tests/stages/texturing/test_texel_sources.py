@@ -1,4 +1,4 @@
-"""Kernels that find and sample what texels show, against plain NumPy."""
+"""Kernels that find and sample the sources of texels, compared with NumPy."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ from scanloom.stages.surface.surface_color import sample_bilinear
 WRAPS = ("repeat", "clamp", "mirror")
 
 
-def noise(height: int, width: int, channels: int, seed: int = 0) -> NDArray[np.uint8]:
+def make_noise(height: int, width: int, channels: int, seed: int = 0) -> NDArray[np.uint8]:
     return np.random.default_rng(seed).integers(0, 256, (height, width, channels), np.uint8)
 
 
-def some_triangles(count: int, size: float, seed: int) -> NDArray[np.float64]:
-    """Triangles of all sizes in a square, some of them beyond its edges, tiny, thin or without area."""
+def make_triangles(count: int, size: float, seed: int) -> NDArray[np.float64]:
+    """Make triangles of all sizes in a square; some are outside, tiny, thin or without area."""
     rng = np.random.default_rng(seed)
     middles = rng.uniform(-0.1 * size, 1.1 * size, (count, 1, 2))
     sizes = rng.choice([0.1, 3, 20], (count, 1, 1))
@@ -37,8 +37,8 @@ def some_triangles(count: int, size: float, seed: int) -> NDArray[np.float64]:
     return corners
 
 
-def barycentric(corners: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Weights (k, 3) of points (k, 2) in one triangle."""
+def compute_weights(corners: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Compute barycentric weights (k, 3) of points (k, 2) in one triangle."""
     a, ab, ac = corners[0], corners[1] - corners[0], corners[2] - corners[0]
     p = points - a
     area = ab[0] * ac[1] - ab[1] * ac[0]
@@ -48,19 +48,19 @@ def barycentric(corners: NDArray[np.float64], points: NDArray[np.float64]) -> ND
     return np.stack([1 - v - w, v, w], axis=1)
 
 
-def centres(width: int, height: int) -> NDArray[np.float64]:
+def list_centres(width: int, height: int) -> NDArray[np.float64]:
     rows, columns = np.mgrid[:height, :width]
     return np.stack([columns + 0.5, rows + 0.5], axis=-1).reshape(-1, 2)
 
 
-def inputs(seed: int = 0, count: int = 300, size: int = 150) -> dict[str, Any]:
-    """A simplified mesh of two charts, and random triangles of the original."""
+def make_inputs(seed: int = 0, count: int = 300, size: int = 150) -> dict[str, Any]:
+    """Make a simplified mesh of two charts, and random triangles of the original."""
     half = size / 2
     boxes = [(0.0, 0.0, half - 4, size), (half + 4, 0.0, size, size)]
     own = np.array(
         [corners for x, y, u, v in boxes for corners in ([(x, y), (u, y), (u, v)], [(x, y), (u, v), (x, v)])]
     )
-    corners = some_triangles(count, size, seed)
+    corners = make_triangles(count, size, seed)
     charts = np.random.default_rng(seed).integers(0, 2, count, np.int32)
     flat = [np.concatenate([c, np.zeros((len(c), 3, 1))], axis=2) for c in (own, corners)]
     return {
@@ -72,7 +72,7 @@ def inputs(seed: int = 0, count: int = 300, size: int = 150) -> dict[str, Any]:
     }
 
 
-def drawn(case: dict[str, Any], threads: int = 1) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+def draw_sources(case: dict[str, Any], threads: int = 1) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
     case = dict(case)
     given = [case.pop(name) for name in ("simplified", "original", "max_distances")]
     return _kernels.draw_sources(*given, wanted_threads=threads, **case)
@@ -82,21 +82,21 @@ def drawn(case: dict[str, Any], threads: int = 1) -> tuple[NDArray[np.int32], ND
 @settings(max_examples=20, deadline=None)
 @given(seed=st.integers(0, 1000))
 def test_the_last_triangle_of_a_chart_is_drawn(seed: int) -> None:
-    case = inputs(seed)
+    case = make_inputs(seed)
     corners, charts, _ = case["original"]
-    simplified, found = drawn(case)
+    simplified, found = draw_sources(case)
     own_charts = np.where(simplified >= 0, simplified // 2, -1).ravel()
-    points = centres(150, 150)
+    points = list_centres(150, 150)
     expected, is_sure = np.full(len(points), -1), np.ones(len(points), bool)
     for index, triangle in enumerate(corners):
-        weights = barycentric(triangle, points)
+        weights = compute_weights(triangle, points)
         is_here = own_charts == charts[index]
         expected[is_here & (weights > 1e-9).all(axis=1)] = index
-        # Rounding decides at an edge.
+        # On an edge, rounding decides.
         is_sure &= ~(is_here & (np.abs(weights.min(axis=1)) <= 1e-9))
     is_inside = (expected >= 0) & is_sure
     assert np.array_equal(found.ravel()[is_inside], expected[is_inside])
-    # Beside them, only triangles that are near.
+    # Outside triangles, the kernel only draws triangles that are close.
     beside = np.flatnonzero((expected < 0) & (found.ravel() >= 0))
     flat = np.concatenate([corners, np.zeros((len(corners), 3, 1))], axis=2)[found.ravel()[beside]]
     at = np.concatenate([points[beside], np.zeros((len(beside), 1))], axis=1)
@@ -105,19 +105,19 @@ def test_the_last_triangle_of_a_chart_is_drawn(seed: int) -> None:
     assert np.array_equal(charts[found.ravel()[beside]], own_charts[beside])
 
 
-def test_charts_reach_as_far_as_bilinear_samples() -> None:
-    case = inputs()
-    simplified, _ = drawn(case)
-    # Points at x = 71 and x = 79 are the last of the charts.
+def test_charts_include_the_reach_of_bilinear_samples() -> None:
+    case = make_inputs()
+    simplified, _ = draw_sources(case)
+    # Pixel centres at x = 71 and x = 79 are the last of the charts.
     assert (simplified[:, :72] >= 0).all()
     assert (simplified[:, 73:77] < 0).all()
     assert (simplified[:, 78:] >= 0).all()
 
 
 @pytest.mark.parametrize("threads", [2, 3, 7])
-def test_threads_do_not_matter(threads: int) -> None:
-    case = inputs(3, 2000, 300)
-    one, several = drawn(case, 1), drawn(case, threads)
+def test_results_do_not_depend_on_the_number_of_threads(threads: int) -> None:
+    case = make_inputs(3, 2000, 300)
+    one, several = draw_sources(case, 1), draw_sources(case, threads)
     for first, second in zip(one, several, strict=True):
         assert np.array_equal(first, second)
     uvs = np.random.default_rng(1).uniform(-2, 3, (2000, 3, 2))
@@ -130,7 +130,7 @@ def test_threads_do_not_matter(threads: int) -> None:
             case["original"][0],
             uvs,
             np.ones(2000, bool),
-            noise(64, 64, 3),
+            make_noise(64, 64, 3),
             wrap=("repeat", "mirror"),
             wanted_threads=count,
         )
@@ -139,14 +139,14 @@ def test_threads_do_not_matter(threads: int) -> None:
 
 
 def test_far_points_are_not_drawn() -> None:
-    case = inputs(5)
-    _, near = drawn(case | {"max_distances": np.full(300, 1e-6)})
-    assert np.array_equal(drawn(case)[1][near >= 0], near[near >= 0])
+    case = make_inputs(5)
+    _, near = draw_sources(case | {"max_distances": np.full(300, 1e-6)})
+    assert np.array_equal(draw_sources(case)[1][near >= 0], near[near >= 0])
     corners, charts, positions = case["original"]
     moved = (corners, charts, positions + np.array([0, 0, 2.0]))
-    assert (drawn(case | {"original": moved, "max_distances": np.full(300, 1.9)})[1] < 0).all()
+    assert (draw_sources(case | {"original": moved, "max_distances": np.full(300, 1.9)})[1] < 0).all()
     limits = np.where(np.arange(300) % 2 == 0, 1.9, np.inf)
-    _, found = drawn(case | {"original": moved, "max_distances": limits})
+    _, found = draw_sources(case | {"original": moved, "max_distances": limits})
     assert (found >= 0).any()
     assert (found[found >= 0] % 2 == 1).all()
 
@@ -158,14 +158,14 @@ def test_far_points_are_not_drawn() -> None:
     wrap=st.tuples(st.sampled_from(WRAPS), st.sampled_from(WRAPS)),
     reach=st.sampled_from([0.5, 3.0, 1e3]),
 )
-def test_samples_are_those_of_the_surface(
+def test_samples_agree_with_sample_bilinear(
     seed: int, size: tuple[int, int], wrap: tuple[str, str], reach: float
 ) -> None:
-    image = noise(*size, 4, seed)
+    image = make_noise(*size, 4, seed)
     uvs = np.random.default_rng(seed).uniform(0.5 - reach, 0.5 + reach, (500, 2))
     uvs[:20] = np.round(uvs[:20])
     found = _kernels.sample_points(image, uvs, channels=3, wrap=wrap, wanted_threads=2)
-    # Shares have eight bits.
+    # Interpolation weights have eight bits.
     assert np.abs(found - sample_bilinear(image, uvs, wrap)).max() <= 2.5
     assert np.array_equal(
         found, _kernels.sample_points(image, uvs, channels=4, wrap=wrap, wanted_threads=1)[:, :3]
@@ -174,11 +174,11 @@ def test_samples_are_those_of_the_surface(
 
 @pytest.mark.parametrize("channels", [1, 2, 3, 4])
 def test_texels_get_the_samples_of_their_triangles(channels: int) -> None:
-    case = inputs(8)
+    case = make_inputs(8)
     corners = case["original"][0]
-    _, triangles = drawn(case)
+    _, triangles = draw_sources(case)
     uvs = np.random.default_rng(2).uniform(0, 1, (300, 3, 2))
-    image = noise(40, 30, channels)
+    image = make_noise(40, 30, channels)
     is_shown = np.arange(300) % 3 > 0
     canvas = np.full((150, 150, channels), 77, np.uint8)
     _kernels.sample_texels(
@@ -192,7 +192,7 @@ def test_texels_get_the_samples_of_their_triangles(channels: int) -> None:
         image, at, channels=channels, wrap=("clamp", "clamp"), wanted_threads=1
     )
     difference = np.abs(canvas.reshape(-1, channels).astype(int) - expected)
-    # Weights in single precision.
+    # Weights are in single precision.
     assert difference.max() <= 2
     assert (difference[triangles.ravel() < 0] == 0).all()
 
@@ -200,12 +200,12 @@ def test_texels_get_the_samples_of_their_triangles(channels: int) -> None:
 @settings(max_examples=20, deadline=None)
 @given(seed=st.integers(0, 1000))
 def test_texels_are_located_at_the_nearest_point(seed: int) -> None:
-    corners = some_triangles(100, 40, seed)
+    corners = make_triangles(100, 40, seed)
     rng = np.random.default_rng(seed)
     triangles, texels = rng.integers(0, 100, 500).astype(np.int32), rng.integers(0, 1600, 500)
     found = _kernels.locate_texels(corners, triangles, texels, width=40, wanted_threads=1)
     flat = np.concatenate([corners, np.zeros((100, 3, 1))], axis=2)[triangles]
-    at = np.concatenate([centres(40, 40)[texels], np.zeros((500, 1))], axis=1)
+    at = np.concatenate([list_centres(40, 40)[texels], np.zeros((500, 1))], axis=1)
     away = [
         np.linalg.norm(np.einsum("kc,kcx->kx", weights, flat) - at, axis=1)
         for weights in (found, compute_closest_weights(at, flat))
@@ -227,7 +227,8 @@ def test_the_nearest_points_of_a_surface_are_found(threads: int) -> None:
     assert np.allclose(distances, expected.distances, atol=1e-9)
     at = np.einsum("kc,kcx->kx", weights, mesh.vertices[mesh.triangles[triangles]])
     assert np.allclose(np.linalg.norm(points - at, axis=1), distances)
-    # Points within look outwards, those beyond inwards: the nearest side of the ball, or the one behind.
+    # Normals inside the ball point outward, outside inward: the closest side of the ball, or the opposite
+    # one.
     normals = points / np.linalg.norm(points, axis=1)[:, None]
     for sign in (1, -1):
         found, _, is_turned = surface.find_nearest_facing(
@@ -240,7 +241,7 @@ def test_the_nearest_points_of_a_surface_are_found(threads: int) -> None:
     assert not is_turned.any()
 
 
-def test_a_surface_refuses_what_it_cannot_find() -> None:
+def test_invalid_queries_of_a_surface_are_refused() -> None:
     mesh = ball()
     surface = _kernels.NearestSurface(mesh.vertices, mesh.triangles, wanted_threads=1)
     nowhere = np.full((1, 3), np.nan)
@@ -258,14 +259,14 @@ def test_a_surface_refuses_what_it_cannot_find() -> None:
         _kernels.NearestSurface(mesh.vertices * np.nan, mesh.triangles, wanted_threads=1)
 
 
-def change(case: dict[str, Any], name: str, place: int, value: Any) -> dict[str, Any]:
+def change_array(case: dict[str, Any], name: str, place: int, value: Any) -> dict[str, Any]:
     arrays = list(case[name])
     arrays[place] = value
     return case | {name: tuple(arrays)}
 
 
-def test_what_cannot_be_drawn_is_refused() -> None:
-    case = inputs()
+def test_invalid_arguments_of_draw_sources_are_refused() -> None:
+    case = make_inputs()
     _, charts, positions = case["original"]
     for bad in (np.nan, np.inf):
         for name in ("simplified", "original"):
@@ -273,27 +274,27 @@ def test_what_cannot_be_drawn_is_refused() -> None:
                 spoilt = case[name][place].copy()
                 spoilt[1, 1, 1] = bad
                 with pytest.raises(ValueError, match="not finite"):
-                    drawn(change(case, name, place, spoilt))
+                    draw_sources(change_array(case, name, place, spoilt))
     with pytest.raises(ValueError, match="each triangle"):
-        drawn(change(case, "original", 1, charts[:-1]))
+        draw_sources(change_array(case, "original", 1, charts[:-1]))
     with pytest.raises(ValueError, match="each triangle"):
-        drawn(change(case, "original", 2, positions[:-1]))
+        draw_sources(change_array(case, "original", 2, positions[:-1]))
     with pytest.raises(ValueError, match="each triangle"):
-        drawn(case | {"max_distances": np.ones(2)})
+        draw_sources(case | {"max_distances": np.ones(2)})
     with pytest.raises(ValueError, match="m × 3 × 2"):
-        drawn(change(case, "original", 0, positions))
+        draw_sources(change_array(case, "original", 0, positions))
     for size in ({"width": 0}, {"height": 0}, {"width": 1 << 20, "height": 1 << 20}):
         with pytest.raises(ValueError, match="empty or too large"):
-            drawn(case | size)
-    simplified, found = drawn(case | {"max_distances": np.full(300, np.nan)})
+            draw_sources(case | size)
+    simplified, found = draw_sources(case | {"max_distances": np.full(300, np.nan)})
     assert (simplified >= 0).any()
     assert (found < 300).all()
     nothing = (np.zeros((0, 3, 2)), np.zeros(0, np.int32), np.zeros((0, 3, 3)))
     empty = case | {"simplified": nothing, "original": nothing, "max_distances": np.zeros(0)}
-    assert all((image == -1).all() for image in drawn(empty))
+    assert all((image == -1).all() for image in draw_sources(empty))
 
 
-def test_what_cannot_be_sampled_is_refused() -> None:
+def test_invalid_arguments_of_sampling_are_refused() -> None:
     triangles = np.zeros((8, 9), np.int32)
     one = np.zeros((1, 3, 2))
     arguments: dict[str, Any] = {
@@ -302,7 +303,7 @@ def test_what_cannot_be_sampled_is_refused() -> None:
         "corners": one,
         "uvs": one,
         "uses_image": np.ones(1, bool),
-        "image": noise(4, 4, 3),
+        "image": make_noise(4, 4, 3),
         "wrap": ("clamp", "clamp"),
         "wanted_threads": 1,
     }
@@ -322,7 +323,7 @@ def test_what_cannot_be_sampled_is_refused() -> None:
     ):
         with pytest.raises(ValueError, match=r"."):
             _kernels.sample_texels(**(arguments | changes))
-    image = noise(4, 4, 3)
+    image = make_noise(4, 4, 3)
     for uvs, channels in (
         (np.zeros((2, 3)), 3),
         (np.full((2, 2), np.nan), 3),

@@ -1,4 +1,4 @@
-"""What is missing in made scans: of each it is known what was left out, where, and which frames were near."""
+"""Coverage of synthetic scans with known missing parts, positions and nearby frames."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ from scanloom.stages.scans.model.scan import Frame
 from scanloom.stages.surface.raycasting import RaycastingSurface
 
 WALL = plate((-0.8, 0, 0), (1.6, 0, 0), (0, 0, 1.2))
-# Five cameras in a row before the wall.
+# Five cameras in a row in front of the wall.
 ROW = [((x, -1.2, 0.6), (x, 0, 0.6)) for x in np.linspace(-0.3, 0.3, 5)]
 
 
-def of_kind(found: Coverage, *kinds: str) -> list[CoverageDefect]:
+def select_kinds(found: Coverage, *kinds: str) -> list[CoverageDefect]:
     return [place for place in found.defects if place.kind in kinds]
 
 
-def in_sight(world: Mesh, place: CoverageDefect, points: np.ndarray) -> float:
-    """Return the share of points of the world that are in sight from where one should look."""
+def compute_visible_ratio(world: Mesh, place: CoverageDefect, points: np.ndarray) -> float:
+    """Compute the share of points of the world that are visible from the suggested viewpoint."""
     eye = np.array(place.viewpoint.position)
     lines = points - eye
     lengths = np.linalg.norm(lines, axis=1)
@@ -36,14 +36,14 @@ def in_sight(world: Mesh, place: CoverageDefect, points: np.ndarray) -> float:
     return float(seen.mean())
 
 
-def pane(points: np.ndarray) -> np.ndarray:
-    """Of the wall, what no sensor measures: black glass."""
+def mask_pane(points: np.ndarray) -> np.ndarray:
+    """Mask the part of the wall without depth: black glass."""
     return (np.abs(points[:, 0] - 0.1) < 0.15) & (np.abs(points[:, 2] - 0.5) < 0.1)
 
 
 @pytest.fixture(scope="module")
 def glass() -> Coverage:
-    """A wall with a pane of 30 × 20 cm in it that gives no depth, and no hole behind."""
+    """Scan a wall with a pane of 30 × 20 cm that gives no depth and has a surface, not a hole, behind."""
     frames = render_frames(WALL, ROW)
     poses = [frame.world_from_camera for frame in frames]
     broken = []
@@ -52,12 +52,12 @@ def glass() -> Coverage:
         z = frame.depth
         points = np.stack([(u - CAMERA.cx) / CAMERA.fx * z, (v - CAMERA.cy) / CAMERA.fy * z, z], axis=-1)
         at = points.reshape(-1, 3) @ pose[:3, :3].T + pose[:3, 3]
-        broken.append(replace(frame, depth=np.where(pane(at).reshape(z.shape), np.float32(0), z)))
-    return coverage(remove_triangles(WALL, pane), broken)
+        broken.append(replace(frame, depth=np.where(mask_pane(at).reshape(z.shape), np.float32(0), z)))
+    return coverage(remove_triangles(WALL, mask_pane), broken)
 
 
-def test_a_hole_is_told_with_its_area_and_where_it_is(glass: Coverage) -> None:
-    (hole,) = of_kind(glass, *MISSING_KINDS)
+def test_a_hole_is_reported_with_area_and_position(glass: Coverage) -> None:
+    (hole,) = select_kinds(glass, *MISSING_KINDS)
 
     assert hole.kind == "hole"
     assert hole.area == pytest.approx(0.3 * 0.2, rel=0.1)
@@ -68,18 +68,18 @@ def test_a_hole_is_told_with_its_area_and_where_it_is(glass: Coverage) -> None:
     assert glass.missing_areas["hole"] == pytest.approx(hole.area)
 
 
-def test_the_outline_of_a_scan_is_no_hole(glass: Coverage) -> None:
+def test_the_outline_of_a_scan_is_not_a_hole(glass: Coverage) -> None:
     frames = render_frames(WALL, ROW)
-    whole = coverage(seen_by(WALL, frames), frames)
+    whole = coverage(select_measured(WALL, frames), frames)
 
     assert not whole.defects
     assert whole.scan_end_area > 0
     assert sum(whole.weak_areas.values()) < 0.01 * whole.surface_area
-    assert len(of_kind(glass, *MISSING_KINDS)) == 1
+    assert len(select_kinds(glass, *MISSING_KINDS)) == 1
 
 
-def test_frames_that_have_no_depth_at_a_hole_say_so_and_one_looks_straight_at_it(glass: Coverage) -> None:
-    (hole,) = of_kind(glass, "hole")
+def test_a_hole_without_depth_lists_its_frames_and_a_frontal_viewpoint(glass: Coverage) -> None:
+    (hole,) = select_kinds(glass, "hole")
 
     assert len(hole.nearest_frames) == 5
     assert {look.reason for look in hole.nearest_frames} == {"no depth there"}
@@ -90,8 +90,8 @@ def test_frames_that_have_no_depth_at_a_hole_say_so_and_one_looks_straight_at_it
     assert np.dot(hole.viewpoint.direction, (0, 1, 0)) > 0.7
 
 
-def test_the_painted_mesh_shows_a_hole_behind_its_own_triangles(glass: Coverage) -> None:
-    mesh = remove_triangles(WALL, pane)
+def test_the_painted_mesh_adds_triangles_for_a_hole(glass: Coverage) -> None:
+    mesh = remove_triangles(WALL, mask_pane)
     count = len(mesh.vertices)
 
     np.testing.assert_array_equal(glass.painted_mesh.vertices[:count], mesh.vertices)
@@ -103,12 +103,12 @@ def test_the_painted_mesh_shows_a_hole_behind_its_own_triangles(glass: Coverage)
     assert (red > 2 * np.maximum(green, blue)).all()
 
 
-def test_an_opening_that_frames_look_through_is_no_hole() -> None:
-    window = remove_triangles(WALL, pane)
+def test_an_opening_with_visible_background_is_not_a_hole() -> None:
+    window = remove_triangles(WALL, mask_pane)
     behind = plate((-2, 0.8, -0.6), (4, 0, 0), (0, 0, 2.4))
     frames = render_frames(join_meshes([window, behind]), ROW)
 
-    assert not of_kind(coverage(window, frames), "hole")
+    assert not select_kinds(coverage(window, frames), "hole")
 
 
 BOX = [
@@ -122,12 +122,12 @@ FLOOR = remove_triangles(
     plate((-0.8, -0.8, 0), (1.6, 0, 0), (0, 1.6, 0)),
     lambda p: (np.abs(p[:, 0]) < 0.15) & (np.abs(p[:, 1]) < 0.1),
 )
-# Around the front of the box, on its sides, and not behind it.
+# Cameras around the front and the sides of the box, but not behind.
 FRONT = [((1.1 * np.sin(a), -1.1 * np.cos(a), 0.8), (0, 0, 0.1)) for a in np.radians(np.linspace(-50, 50, 9))]
 
 
-def seen_by(world: Mesh, frames: list[Frame]) -> Mesh:
-    """Return what fusion would leave: the triangles whose middles some frame measured."""
+def select_measured(world: Mesh, frames: list[Frame]) -> Mesh:
+    """Return the mesh that fusion would produce: triangles whose centres some frame measured."""
     middles = world.vertices[world.triangles].mean(axis=1)
     is_seen = np.zeros(len(middles), bool)
     for frame in frames:
@@ -146,9 +146,9 @@ def world() -> Mesh:
     return join_meshes([*BOX, FLOOR])
 
 
-def test_the_side_of_a_thing_that_no_frame_saw_is_told_and_looked_at_from_there(world: Mesh) -> None:
+def test_an_unseen_side_of_an_object_is_reported_with_a_viewpoint(world: Mesh) -> None:
     frames = render_frames(world, FRONT)
-    found = coverage(seen_by(world, frames), frames, spacing=0.02)
+    found = coverage(select_measured(world, frames), frames, spacing=0.02)
 
     first = found.defects[0]
     assert first.kind in ("hidden", "hole")
@@ -159,35 +159,35 @@ def test_the_side_of_a_thing_that_no_frame_saw_is_told_and_looked_at_from_there(
     assert first.viewpoint.position[1] > 0.2
     assert first.viewpoint.visible_ratio > 0.7
     back = BOX[2].vertices[BOX[2].triangles].mean(axis=1)
-    assert in_sight(world, first, back) > 0.9
+    assert compute_visible_ratio(world, first, back) > 0.9
     assert any("occluded" in look.reason or "behind" in look.reason for look in first.nearest_frames)
 
 
 @pytest.mark.slow
-def test_once_that_side_is_seen_it_is_told_no_more(world: Mesh) -> None:
+def test_a_side_seen_by_additional_frames_is_not_reported(world: Mesh) -> None:
     frames = render_frames(world, FRONT)
-    before = coverage(seen_by(world, frames), frames, spacing=0.02)
+    before = coverage(select_measured(world, frames), frames, spacing=0.02)
     place = before.defects[0]
     eye = place.viewpoint.position
     more = render_frames(world, [*FRONT, (eye, np.add(eye, place.viewpoint.direction))])
-    after = coverage(seen_by(world, more), more, spacing=0.02)
+    after = coverage(select_measured(world, more), more, spacing=0.02)
 
     assert before.missing_areas["hidden"] > 0.04
     assert after.missing_areas["hidden"] == 0
-    # The floor that the box stands on is never seen.
+    # The floor below the box is never visible.
     assert after.missing_areas["hole"] == pytest.approx(2 * 0.3 * 0.2, rel=0.05)
 
 
-def test_a_gap_between_what_was_scanned_is_told_where_the_surface_would_be() -> None:
+def test_a_gap_between_scanned_parts_is_located_on_the_missing_surface() -> None:
     floor = plate((-1.5, -0.4, 0), (3, 0, 0), (0, 0.8, 0))
     left = [((x, 0, 0.9), (x, 0, 0)) for x in (-1.1, -1.0, -0.9)]
     right = [((x, 0, 0.9), (x, 0, 0)) for x in (0.9, 1.0, 1.1)]
     frames = render_frames(floor, [*left, *right])
-    found = coverage(seen_by(floor, frames), frames)
+    found = coverage(select_measured(floor, frames), frames)
 
-    gap = of_kind(found, "gap")[0]
-    area = sum(one.area for one in of_kind(found, "gap"))
-    # Pictures are 1.08 m wide on the floor.
+    gap = select_kinds(found, "gap")[0]
+    area = sum(one.area for one in select_kinds(found, "gap"))
+    # Images cover 1.08 m of the floor.
     width = 2 * (0.9 - 0.54)
     np.testing.assert_allclose(gap.point, (0, 0, 0), atol=0.2)
     assert gap.normal[2] == pytest.approx(1)
@@ -197,12 +197,12 @@ def test_a_gap_between_what_was_scanned_is_told_where_the_surface_would_be() -> 
     assert gap.viewpoint.visible_ratio == 1
     assert "outside the image" in gap.nearest_frames[0].reason
     assert gap.frames_in_view == 0
-    # Those beyond the ends are none.
-    assert not [place for place in of_kind(found, *MISSING_KINDS) if abs(place.point[0]) > 0.6]
+    # The ends of the floor are not gaps.
+    assert not [place for place in select_kinds(found, *MISSING_KINDS) if abs(place.point[0]) > 0.6]
 
 
 @pytest.mark.slow
-def test_a_wall_of_a_room_that_nobody_looked_at_is_told() -> None:
+def test_an_unseen_wall_of_a_room_is_reported() -> None:
     room = [
         plate((-1, 1, 0), (2, 0, 0), (0, 0, 1.6), 0.04),
         plate((-1, -1, 0), (0, 2, 0), (0, 0, 1.6), 0.04),
@@ -218,23 +218,23 @@ def test_a_wall_of_a_room_that_nobody_looked_at_is_told() -> None:
         for rise in (-0.6, 0, 0.6)
     ]
     frames = render_frames(walls, looks)
-    found = coverage(seen_by(walls, frames), frames, spacing=0.06, max_defects=1000)
+    found = coverage(select_measured(walls, frames), frames, spacing=0.06, max_defects=1000)
 
-    # Below and above the cameras, where floor and ceiling would go on.
-    gaps = of_kind(found, "gap")
+    # Below and above the cameras, where floor and ceiling would continue.
+    gaps = select_kinds(found, "gap")
     assert {round(place.point[2], 1) for place in gaps} == {0.0, 1.6}
     assert all(np.hypot(*place.point[:2]) < 0.9 for place in gaps)
-    # And towards the wall that is at y = −1.
-    unseen = of_kind(found, "unseen")
+    # And towards the wall at y = −1.
+    unseen = select_kinds(found, "unseen")
     towards = [place.area for place in unseen if place.point[1] < 0]
     assert sum(towards) > 1
     assert sum(towards) > 0.7 * sum(place.area for place in unseen)
-    assert not of_kind(found, "hidden", "hole", "blank")
+    assert not select_kinds(found, "hidden", "hole", "blank")
 
 
-def test_few_frames_oblique_and_far_looks_are_told_apart() -> None:
+def test_few_oblique_and_distant_frames_are_distinguished() -> None:
     near = [((0.4, -0.8, 0.6), (0.4, 0, 0.6))] * 3
-    # The left half by one frame, and all by oblique ones from the right.
+    # The left half has one frame, and all of it has oblique frames from the right.
     few = coverage(WALL, render_frames(WALL, [*near, ((-0.4, -0.8, 0.6), (-0.4, 0, 0.6))]), few_frames=2)
     few_there = few.vertex_kinds == WEAK_KINDS.index("few")
     assert few_there[
@@ -243,7 +243,7 @@ def test_few_frames_oblique_and_far_looks_are_told_apart() -> None:
     assert not few_there[
         (np.abs(WALL.vertices[:, 0] - 0.4) < 0.3) & (np.abs(WALL.vertices[:, 2] - 0.6) < 0.2)
     ].any()
-    assert of_kind(few, "few")[0].point[0] < 0.1
+    assert select_kinds(few, "few")[0].point[0] < 0.1
 
     aslant = [((0.8 + 1.2, -0.3, 0.6), (0.5, 0, 0.6))] * 3
     oblique = coverage(WALL, render_frames(WALL, aslant), max_angle=70, min_area=0.01)
@@ -254,17 +254,17 @@ def test_few_frames_oblique_and_far_looks_are_told_apart() -> None:
         cosine[seen & (WALL.vertices[:, 2] == 0.6)],
         atol=0.02,
     )
-    assert of_kind(oblique, "oblique")
+    assert select_kinds(oblique, "oblique")
 
     far = coverage(WALL, render_frames(WALL, ROW), max_distance=1.0)
-    assert of_kind(far, "far")
+    assert select_kinds(far, "far")
     assert far.vertex_evidence.min_distance[far.vertex_evidence.frame_counts > 0] == pytest.approx(
         1.2, abs=1e-3
     )
-    assert not of_kind(coverage(WALL, render_frames(WALL, ROW), max_distance=1.3), "far")
+    assert not select_kinds(coverage(WALL, render_frames(WALL, ROW), max_distance=1.3), "far")
 
 
-def test_what_a_mask_leaves_out_hides_nothing() -> None:
+def test_masked_objects_do_not_occlude() -> None:
     box = join_meshes(BOX)
     all_around = [
         ((1.1 * np.sin(a), -1.1 * np.cos(a), 0.6), (0, 0, 0.15)) for a in np.radians(np.arange(0, 360, 30))
@@ -273,37 +273,37 @@ def test_what_a_mask_leaves_out_hides_nothing() -> None:
     masked = [replace(one, mask=np.where(one.depth > 0, 255, 0).astype(np.uint8)) for one in frames]
     found = coverage(box, masked)
 
-    # Only the ground that it stands on.
-    assert all(place.point[2] < 0.05 for place in of_kind(found, *MISSING_KINDS))
-    assert not of_kind(found, "unseen", "end", "blank")
+    # Only the ground below the box.
+    assert all(place.point[2] < 0.05 for place in select_kinds(found, *MISSING_KINDS))
+    assert not select_kinds(found, "unseen", "end", "blank")
 
 
-def test_far_from_the_origin_the_same_is_found(glass: Coverage) -> None:
+def test_results_far_from_the_origin_are_the_same(glass: Coverage) -> None:
     shift = np.array((500_000.0, 5_200_000.0, 300.0))
-    mesh = remove_triangles(WALL, pane)
+    mesh = remove_triangles(WALL, mask_pane)
     frames = []
-    for frame in render_frames(remove_triangles(WALL, pane), ROW):
+    for frame in render_frames(remove_triangles(WALL, mask_pane), ROW):
         pose = frame.world_from_camera.copy()
         pose[:3, 3] += shift
         frames.append(replace(frame, world_from_camera=pose))
     found = coverage(mesh.with_(vertices=mesh.vertices + shift), frames)
 
-    (hole,) = of_kind(found, "hole")
-    assert hole.area == pytest.approx(of_kind(glass, "hole")[0].area, rel=1e-3)
+    (hole,) = select_kinds(found, "hole")
+    assert hole.area == pytest.approx(select_kinds(glass, "hole")[0].area, rel=1e-3)
     np.testing.assert_allclose(np.array(hole.point) - shift, (0.1, 0, 0.5), atol=0.06)
 
 
 def test_equal_input_gives_an_equal_result() -> None:
     frames = render_frames(WALL, ROW)
-    one, other = (coverage(remove_triangles(WALL, pane), frames) for _ in range(2))
+    one, other = (coverage(remove_triangles(WALL, mask_pane), frames) for _ in range(2))
 
     assert one.to_dict() == other.to_dict()
     np.testing.assert_array_equal(one.painted_mesh.colors, other.painted_mesh.colors)
 
 
-def test_places_are_ranked_cut_off_and_counted(world: Mesh) -> None:
+def test_defects_are_ranked_limited_and_counted(world: Mesh) -> None:
     frames = render_frames(world, FRONT)
-    mesh = seen_by(world, frames)
+    mesh = select_measured(world, frames)
     every = coverage(mesh, frames, max_defects=1000)
     few = coverage(mesh, frames, max_defects=2)
     metrics = every.to_dict()["places"]
@@ -316,17 +316,17 @@ def test_places_are_ranked_cut_off_and_counted(world: Mesh) -> None:
 
 
 @pytest.mark.slow
-def test_what_is_large_is_told_as_several_places_of_one_look_each(world: Mesh) -> None:
+def test_a_large_defect_is_split_by_viewpoint(world: Mesh) -> None:
     frames = render_frames(world, FRONT)
-    mesh = seen_by(world, frames)
+    mesh = select_measured(world, frames)
     whole = coverage(mesh, frames, max_patch_size=2.0, max_defects=1000)
     cut = coverage(mesh, frames, max_patch_size=0.15, min_area=1e-4, max_defects=1000)
 
-    assert max(place.extent for place in of_kind(cut, *MISSING_KINDS)) < 0.25
-    assert len(of_kind(cut, "hidden", "hole")) > len(of_kind(whole, "hidden", "hole"))
+    assert max(place.extent for place in select_kinds(cut, *MISSING_KINDS)) < 0.25
+    assert len(select_kinds(cut, "hidden", "hole")) > len(select_kinds(whole, "hidden", "hole"))
 
 
-def test_damaged_frames_are_told_and_the_others_count() -> None:
+def test_damaged_frames_are_reported_and_the_others_used() -> None:
     frames = render_frames(WALL, ROW)
     empty = replace(frames[0], name="empty", depth=np.zeros_like(frames[0].depth))
     lost = replace(frames[1], name="lost", world_from_camera=None)
@@ -350,12 +350,12 @@ def test_damaged_frames_are_told_and_the_others_count() -> None:
         ),
     ],
 )
-def test_without_depth_and_poses_nothing_can_be_said(frames: list[Frame], why: str) -> None:
+def test_frames_without_depth_or_poses_are_refused(frames: list[Frame], why: str) -> None:
     with pytest.raises(InputError, match=why):
         coverage(WALL, frames)
 
 
-def test_frames_of_another_place_are_refused() -> None:
+def test_frames_of_another_scene_are_refused() -> None:
     frames = [
         replace(one, world_from_camera=look_at((50, 0, 0), (51, 0, 0))) for one in render_frames(WALL, ROW)
     ]
@@ -363,7 +363,7 @@ def test_frames_of_another_place_are_refused() -> None:
         coverage(WALL, frames)
 
 
-def test_meshes_that_are_no_surface_are_refused() -> None:
+def test_meshes_without_surface_are_refused() -> None:
     frames = render_frames(WALL, ROW)
     with pytest.raises(MeshError, match="no triangles"):
         coverage(Mesh(WALL.vertices, np.zeros((0, 3), np.int32)), frames)

@@ -1,4 +1,4 @@
-"""What is missing in a scan whose mesh is in pieces: the same as of the whole."""
+"""Coverage of a chunked mesh equals coverage of the mesh in memory."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _SAMPLE = Path(__file__).resolve().parents[4] / "samples" / "rgbd"
 
 @pytest.fixture(scope="module")
 def frames() -> list[Frame]:
-    """All from one side, so that there is something of several kinds."""
+    """Read frames from one side only, so that there are several kinds of defects."""
     return list(read_scan(_SAMPLE).frames[:8])
 
 
@@ -38,18 +38,18 @@ def whole(large: Path, frames: list[Frame]) -> Coverage:
 @pytest.fixture(scope="module")
 def pieced(large: Path, frames: list[Frame]) -> Coverage:
     with pytest.MonkeyPatch.context() as patch:
-        # Of some pieces not all triangles are worked on at a time.
+        # Some chunks are processed in several batches.
         patch.setattr(chunked_mesh, "BATCH_TRIANGLES", 300)
         surface = ChunkedMesh(ChunkedPly(large))
         assert len(surface) > 5
         assert len(list(surface.iterate_batches())) > len(surface)
         found = coverage(surface, frames, few_frames=2, spacing=0.03)
-        # What it tells of vertices is read when it is asked for.
+        # Vertex values are only read on access.
         found.painted_mesh  # noqa: B018
     return found
 
 
-def test_metrics_and_places_are_those_of_the_whole(whole: Coverage, pieced: Coverage) -> None:
+def test_metrics_and_defects_equal_those_of_the_mesh_in_memory(whole: Coverage, pieced: Coverage) -> None:
     expected, told = whole.to_dict(), pieced.to_dict()
     assert len(expected["places"]) > 10
     assert {place.kind for place in whole.defects} == {"hidden", "few", "oblique", "unmeasured", "apart"}
@@ -63,13 +63,13 @@ def test_metrics_and_places_are_those_of_the_whole(whole: Coverage, pieced: Cove
         assert told[name] == (value if isinstance(value, list) else pytest.approx(value, rel=1e-6))
 
 
-def test_colours_and_what_is_known_of_vertices_are_those_of_the_whole(
+def test_colours_and_vertex_values_equal_those_of_the_mesh_in_memory(
     whole: Coverage, pieced: Coverage
 ) -> None:
     np.testing.assert_array_equal(pieced.painted_mesh.vertices, whole.painted_mesh.vertices)
     np.testing.assert_array_equal(pieced.painted_mesh.triangles, whole.painted_mesh.triangles)
     off = np.abs(pieced.painted_mesh.colors.astype(int) - whole.painted_mesh.colors.astype(int))
-    # Where pieces meet, normals are sums in single precision.
+    # At chunk borders, normals are summed in single precision.
     assert off.max() <= 1
     np.testing.assert_array_equal(pieced.vertex_kinds, whole.vertex_kinds)
     for name in ("frame_counts", "max_cosine", "min_distance", "min_pixel_size", "mean_cosine", "rms_height"):
@@ -78,7 +78,7 @@ def test_colours_and_what_is_known_of_vertices_are_those_of_the_whole(
     assert len(whole.painted_mesh.vertices) > len(whole.vertex_kinds) == len(pieced.vertex_kinds)
 
 
-def test_the_border_is_that_of_the_whole_though_loops_run_through_many_pieces(large: Path) -> None:
+def test_boundary_loops_across_chunks_equal_those_of_the_mesh_in_memory(large: Path) -> None:
     one, many = find_boundary(SingleChunkMesh(read_ply(large))), find_boundary(ChunkedMesh(ChunkedPly(large)))
     assert len(one.tails) > 100
     for name in ("tails", "heads", "starts", "ends"):
@@ -87,12 +87,12 @@ def test_the_border_is_that_of_the_whole_though_loops_run_through_many_pieces(la
         np.testing.assert_allclose(getattr(many, name), getattr(one, name), atol=1e-6)
 
 
-def test_a_hole_whose_rim_runs_through_four_pieces_is_told_as_of_the_whole(tmp_path: Path) -> None:
+def test_a_hole_across_four_chunks_is_reported_like_in_memory(tmp_path: Path) -> None:
     wall = plate((-0.8, 0, 0), (1.6, 0, 0), (0, 0, 1.2), 0.02)
     open_wall = remove_triangles(
         wall, lambda p: (np.abs(p[:, 0] - 0.1) < 0.15) & (np.abs(p[:, 2] - 0.5) < 0.1)
     )
-    # Nothing is measured there, though there is glass.
+    # There is no depth, because the hole is a pane of glass.
     frames = render_frames(open_wall, [((x, -1.2, 0.6), (x, 0, 0.6)) for x in (-0.2, 0.0, 0.2)])
     middles = open_wall.vertices[open_wall.triangles].mean(axis=1)
     large = split_into_chunks(
@@ -107,7 +107,7 @@ def test_a_hole_whose_rim_runs_through_four_pieces_is_told_as_of_the_whole(tmp_p
     np.testing.assert_allclose(hole.point, (0.1, 0, 0.5), atol=0.06)
 
 
-def test_what_stands_for_others_is_never_far_from_them_however_large_the_mesh_is(
+def test_probes_are_close_to_their_vertices_for_any_mesh_size(
     large: Path, frames: list[Frame], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(probes, "_TARGET_COUNT", 10)
@@ -116,19 +116,20 @@ def test_what_stands_for_others_is_never_far_from_them_however_large_the_mesh_is
         vertices = read_ply(large).vertices - found.surface.box.mean(axis=0)
         stands = np.concatenate([part.probe_indices for part in found.iterate_painted()])[: len(vertices)]
         away = np.linalg.norm(found.probes.points[stands] - vertices, axis=1)
-        # Marching cubes of 15 mm: their edges are shorter. Beside rims another cube's stands for a vertex.
+        # The fused mesh has voxels of 15 mm and shorter edges. Next to rims, the probe of another cell may
+        # represent a vertex.
         assert np.quantile(away, 0.95) < 6 * 0.015
         assert 200 < len(found.probes.points) < len(vertices) / 4
 
 
-def test_rays_meet_pieces_as_they_meet_the_whole(large: Path) -> None:
+def test_rays_hit_chunks_like_the_mesh_in_memory(large: Path) -> None:
     mesh, pieced = read_ply(large), ChunkedMesh(ChunkedPly(large))
     rng = np.random.default_rng(3)
     low, high = pieced.box
     origins = rng.uniform(low - 0.2, high + 0.2, (3000, 3))
     directions = rng.normal(size=(3000, 3))
     directions /= np.linalg.norm(directions, axis=1)[:, None]
-    # Some along the axes of boxes.
+    # Some rays parallel to box axes.
     directions[:300] = np.eye(3)[rng.integers(0, 3, 300)]
     reaches = rng.uniform(0.05, 1.0, 3000)
     hits = RaycastingSurface(mesh, pieced.box).cast_rays(origins, directions)

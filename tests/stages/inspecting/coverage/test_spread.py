@@ -1,4 +1,4 @@
-"""How much frames agree about where a surface is, on made planes of which it is known."""
+"""Agreement of frames about the position of a surface, on planes with known errors."""
 
 from __future__ import annotations
 
@@ -17,25 +17,27 @@ STRAIGHT = [((x, -1.2, 0.6), (x, 0, 0.6)) for x in np.linspace(-0.3, 0.3, 6)]
 ASLANT = [((x, -0.7, 0.6), (0, 0, 0.6)) for x in (-1.0, 0.7, 1.0)]
 
 
-def moved(frame: Frame, by: np.ndarray | float) -> Frame:
-    """Return a frame whose depth is so much larger, metres."""
+def offset_depth(frame: Frame, by: np.ndarray | float) -> Frame:
+    """Add an error in metres to the depth of a frame."""
     depth = frame.depth + np.asarray(by, np.float32)
     return replace(frame, depth=np.where(frame.depth > 0, depth, np.float32(0)))
 
 
-def test_of_exact_depth_there_is_none_however_obliquely_it_is_seen() -> None:
+def test_exact_depth_has_no_spread_at_any_angle() -> None:
     found = coverage(WALL, render_frames(WALL, [*STRAIGHT, *ASLANT]))
     evidence = found.vertex_evidence
     assert evidence.frame_counts.max() == 9
-    # In the middle of a pixel: 1 cm beside it, depth of a slope of 55° is 1.4 cm off.
+    # Only at pixel centres: 1 cm off centre, the depth of a slope of 55° changes by 1.4 cm.
     assert evidence.rms_height.max() < 1e-5
     assert found.spread_95 < 1e-5
 
 
 @pytest.mark.parametrize("sigma", [0.002, 0.008])
-def test_of_noise_it_is_that_of_the_noise(sigma: float) -> None:
+def test_the_spread_of_noisy_depth_is_its_noise(sigma: float) -> None:
     rng = np.random.default_rng(5)
-    frames = [moved(one, rng.normal(0, sigma, one.depth.shape)) for one in render_frames(WALL, STRAIGHT * 4)]
+    frames = [
+        offset_depth(one, rng.normal(0, sigma, one.depth.shape)) for one in render_frames(WALL, STRAIGHT * 4)
+    ]
     found = coverage(WALL, frames)
     often = found.vertex_evidence.frame_counts >= 20
     assert often.sum() > 1000
@@ -46,35 +48,36 @@ def test_of_noise_it_is_that_of_the_noise(sigma: float) -> None:
     assert (metrics["spread_median_m"], metrics["spread_95_m"]) == (found.spread_median, found.spread_95)
 
 
-def test_two_frames_that_disagree_are_each_half_of_that_off() -> None:
+def test_two_contradicting_frames_deviate_by_half_their_difference() -> None:
     one = render_frames(WALL, [STRAIGHT[2]])[0]
-    found = coverage(WALL, [moved(one, 0.006), moved(one, -0.006)])
+    found = coverage(WALL, [offset_depth(one, 0.006), offset_depth(one, -0.006)])
     seen = found.vertex_evidence.frame_counts == 2
     assert seen.sum() > 1000
     np.testing.assert_allclose(found.vertex_evidence.rms_height[seen], 0.006, atol=1e-6)
-    # What one of them alone has measured is as far off as that is, what none has is not.
-    alone = coverage(WALL, [moved(one, 0.006)])
+    # A single frame deviates by its full error; without a frame there is no deviation.
+    alone = coverage(WALL, [offset_depth(one, 0.006)])
     np.testing.assert_allclose(
         alone.vertex_evidence.rms_height[alone.vertex_evidence.frame_counts == 1], 0.006, atol=1e-6
     )
     assert (alone.vertex_evidence.rms_height[alone.vertex_evidence.frame_counts == 0] == 0).all()
 
 
-def test_aslant_it_is_along_the_normal_and_the_mean_angle_is_of_all_looks() -> None:
+def test_spread_is_along_the_normal_and_the_mean_angle_covers_all_frames() -> None:
     straight, aslant = render_frames(WALL, [((0, -1.2, 0.6), (0, 0, 0.6)), ((0.9, -0.9, 0.6), (0, 0, 0.6))])
     middle = np.abs(WALL.vertices - (0, 0, 0.6)).max(axis=1) < 0.02
-    evidence = coverage(WALL, [straight, moved(aslant, 0.01)]).vertex_evidence
-    # Along the axis of the camera 1 cm, along the normal that times the cosine; of two frames one is right.
+    evidence = coverage(WALL, [straight, offset_depth(aslant, 0.01)]).vertex_evidence
+    # The error is 1 cm along the optical axis, times the cosine along the normal; one of the two frames is
+    # exact.
     np.testing.assert_allclose(evidence.rms_height[middle], 0.01 * np.cos(np.pi / 4) / np.sqrt(2), rtol=0.05)
     np.testing.assert_allclose(evidence.mean_cosine[middle], (1 + np.cos(np.pi / 4)) / 2, atol=0.02)
     np.testing.assert_allclose(evidence.max_cosine[middle], 1, atol=0.01)
 
 
-def test_where_frames_disagree_evidence_is_thin_and_a_place_of_its_own() -> None:
+def test_contradicting_frames_are_a_separate_defect() -> None:
     frames = render_frames(WALL, [STRAIGHT[2]] * 6)
-    # On the left, every second frame has the wall 2 cm farther off.
+    # On the left, every second frame has the wall 2 cm farther away.
     left = np.arange(CAMERA.width) < 30
-    wrong = [moved(one, 0.02 * left * (number % 2)) for number, one in enumerate(frames)]
+    wrong = [offset_depth(one, 0.02 * left * (number % 2)) for number, one in enumerate(frames)]
     found = coverage(WALL, wrong, min_area=0.01)
     apart = found.vertex_kinds == WEAK_KINDS.index("apart")
     is_left = (found.vertex_evidence.frame_counts == 6) & (WALL.vertices[:, 0] < -0.35)
@@ -86,11 +89,11 @@ def test_where_frames_disagree_evidence_is_thin_and_a_place_of_its_own() -> None
     assert {place.kind for place in found.defects if place.point[0] < -0.35} >= {"apart"}
     assert found.weak_areas["apart"] > 0.05
     assert not (coverage(WALL, wrong, spread=0.03).vertex_kinds == WEAK_KINDS.index("apart")).any()
-    # Less than half an edge of the mesh is nothing that it could show.
+    # Less than half an edge length cannot be represented by the mesh.
     assert not (coverage(WALL, frames).vertex_kinds == WEAK_KINDS.index("apart")).any()
 
 
-def test_frames_before_which_something_stands_have_no_say() -> None:
+def test_occluded_frames_do_not_contribute() -> None:
     board = plate((-0.2, -0.5, 0.4), (0.4, 0, 0), (0, 0, 0.4))
     clear, hidden = (
         render_frames(WALL, [STRAIGHT[2]])[0],

@@ -1,4 +1,4 @@
-"""What a sidecar says is done to images, and undone to what comes."""
+"""Conversions of images and outputs as described by a sidecar."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -18,11 +18,11 @@ PAIR = Sidecar("stereo", {"left": "left", "right": "right"}, "disparity", "px", 
 ONE = Sidecar("monocular", {"image": "image"}, "depth", "inverse_depth")
 
 
-def of(file: Path, sidecar: Sidecar) -> Network:
+def open_network(file: Path, sidecar: Sidecar) -> Network:
     return Network(file, 3 << 30, 60, sidecar)
 
 
-def off(found: np.ndarray, truth: np.ndarray) -> float:
+def measure_error(found: np.ndarray, truth: np.ndarray) -> float:
     return float(np.median(np.abs(found - truth)[np.isfinite(truth)]))
 
 
@@ -36,28 +36,30 @@ def off(found: np.ndarray, truth: np.ndarray) -> float:
         ({"low": -1.0, "high": 1.0}, {"range": (-1.0, 1.0)}),
         ({"low": -2.0, "high": 2.0}, {"range": (0.0, 1.0), "mean": (0.5,) * 3, "std": (0.25,) * 3}),
         ({"names": ("a", "b"), "swapped": True}, {"inputs": {"a": "right", "b": "left"}}),
-        # Half the size each way, so half the disparity.
+        # Half the size, so half the disparity.
         ({"size": (128, 192)}, {"multiple_of": 1}),
     ],
 )
 def test_both_images_disparities_in_any_convention(tmp_path, made, said):
     left, right, truth = make_test_pair()
-    network = of(onnx_networks.write_stereo_network(tmp_path / "net.onnx", **made), replace(PAIR, **said))
+    network = open_network(
+        onnx_networks.write_stereo_network(tmp_path / "net.onnx", **made), replace(PAIR, **said)
+    )
     found = network.predict_pair(left, right, focal_baseline=2.0, offset=0.0)
     assert found.left.shape == found.right.shape == truth.shape
-    assert off(found.left, truth) < 0.1
-    # Each of the right image's pixels lies its disparity to the left of what it shows.
+    assert measure_error(found.left, truth) < 0.1
+    # A pixel of the left image corresponds to a right pixel shifted to the left by its disparity.
     rows, columns = np.nonzero(np.isfinite(truth))
     facing = found.right[rows, columns - truth[rows, columns].astype(int)]
     assert np.median(np.abs(facing - truth[rows, columns])) < 0.1
     assert (found.confidence == 1).all()
 
 
-def test_an_image_of_no_such_multiple_is_padded_and_cut(matching):
+def test_an_image_of_another_multiple_is_padded_and_cropped(matching):
     left, right, truth = (image[:201, :363] for image in make_test_pair())
     found = Network.from_processes(matching, PAIR).predict_pair(left, right, 1.0, 0.0)
     assert found.left.shape == (201, 363)
-    assert off(found.left, truth) < 0.1
+    assert measure_error(found.left, truth) < 0.1
 
 
 def test_colours_in_their_order_and_grey(tmp_path):
@@ -68,9 +70,9 @@ def test_colours_in_their_order_and_grey(tmp_path):
         tmp_path / "net.onnx", nodes, [("image", shape)], [("depth", None)], weights
     )
     image = np.zeros((8, 9, 3), np.uint8) + np.uint8([1, 2, 3])
-    assert (of(file, ONE).predict_image(image)[0] == 321).all()
-    assert (of(file, replace(ONE, color="bgr")).predict_image(image)[0] == 123).all()
-    assert (of(file, ONE).predict_image(image[..., 0])[0] == 111).all(), (
+    assert (open_network(file, ONE).predict_image(image)[0] == 321).all()
+    assert (open_network(file, replace(ONE, color="bgr")).predict_image(image)[0] == 123).all()
+    assert (open_network(file, ONE).predict_image(image[..., 0])[0] == 111).all(), (
         "a grey image is grey in all channels"
     )
 
@@ -87,11 +89,13 @@ def test_channels_last_other_types_and_half_size(tmp_path):
     file = onnx_networks.save_network(tmp_path / "net.onnx", nodes, inputs, outputs)
     image = np.full((8, 10, 3), 7, np.uint8)
     image[:, :4] = 50
-    found, mirrored = of(file, replace(ONE, layout="nhwc")).predict_image(image)
+    found, mirrored = open_network(file, replace(ONE, layout="nhwc")).predict_image(image)
     np.testing.assert_array_equal(found, image[..., 0])
     np.testing.assert_array_equal(mirrored, found)
     half = replace(ONE, layout="nhwc", inputs={"image": "image/2"})
-    assert of(file, half).predict_image(image)[0].shape == (8, 10), "made as large as the image again"
+    assert open_network(file, half).predict_image(image)[0].shape == (8, 10), (
+        "made as large as the image again"
+    )
 
 
 def test_confidence_and_occlusion(tmp_path):
@@ -107,7 +111,7 @@ def test_confidence_and_occlusion(tmp_path):
     file = onnx_networks.save_network(tmp_path / "net.onnx", nodes, inputs, outputs, weights)
     told = replace(PAIR, confidence="sure", occlusion="hidden", range=(0.0, 1.0), multiple_of=1)
     image = np.zeros((4, 5, 3), np.uint8) + np.uint8([255, 204, 51])
-    found = of(file, told).predict_pair(image, image, 1.0, 0.0)
+    found = open_network(file, told).predict_pair(image, image, 1.0, 0.0)
     np.testing.assert_allclose(found.confidence, 0.8 * 0.8, atol=1e-6)
 
 
@@ -141,11 +145,11 @@ def test_a_sidecar_of_another_network(matching, changes, said):
         (helper.make_node("Div", ["zero", "zero"], ["depth"]), "has no finite values"),
     ],
 )
-def test_outputs_that_are_no_map(tmp_path, node, said):
+def test_outputs_that_are_not_maps(tmp_path, node, said):
     nodes = [helper.make_node("Sub", ["image", "image"], ["zero"]), node]
     file = onnx_networks.save_network(
         tmp_path / "net.onnx", nodes, [("image", [1, 3, "h", "w"])], [("depth", None)]
     )
     with pytest.raises(InputError) as caught:
-        of(file, ONE).predict_image(np.zeros((20, 30, 3), np.uint8))
+        open_network(file, ONE).predict_image(np.zeros((20, 30, 3), np.uint8))
     assert said in str(caught.value)

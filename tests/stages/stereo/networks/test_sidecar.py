@@ -1,4 +1,4 @@
-"""The page beside a network: what is read back, and what is refused in one sentence."""
+"""Sidecar files of networks: round trip, and one-sentence errors."""
 
 from pathlib import Path
 
@@ -10,7 +10,7 @@ from scanloom.stages.stereo.networks.sidecar import Sidecar, format_sidecar, get
 PAIR = 'kind = "stereo"\noutput = "d"\nunit = "px"\n[inputs]\na = "left"\nb = "right"\n'
 
 
-def beside(tmp_path: Path, text: str) -> Path:
+def write_sidecar_file(tmp_path: Path, text: str) -> Path:
     network = tmp_path / "net.onnx"
     get_sidecar_path(network).write_text(text, encoding="utf-8")
     return network
@@ -37,8 +37,8 @@ def beside(tmp_path: Path, text: str) -> Path:
         ),
     ],
 )
-def test_what_is_written_is_read_back(tmp_path, sidecar):
-    assert read_sidecar(beside(tmp_path, format_sidecar(sidecar))) == sidecar
+def test_a_written_sidecar_is_read_back(tmp_path, sidecar):
+    assert read_sidecar(write_sidecar_file(tmp_path, format_sidecar(sidecar))) == sidecar
 
 
 @pytest.mark.parametrize(
@@ -62,14 +62,14 @@ def test_what_is_written_is_read_back(tmp_path, sidecar):
         ('kind = "stereo"\noutput = "d"\nunit = "px"\ninputs = "left"\n', "must be a table"),
     ],
 )
-def test_what_is_wrong_is_one_sentence(tmp_path, text, said):
+def test_invalid_sidecars_are_one_sentence(tmp_path, text, said):
     with pytest.raises(InputError) as caught:
-        read_sidecar(beside(tmp_path, text))
+        read_sidecar(write_sidecar_file(tmp_path, text))
     assert said in str(caught.value)
     assert "net.toml" in str(caught.value)
     assert "\n" not in str(caught.value)
 
 
-def test_without_one_it_says_how_to_get_it(tmp_path):
+def test_a_missing_sidecar_is_an_error_with_a_remedy(tmp_path):
     with pytest.raises(InputError, match=r"scanloom lab probe net\.onnx --write"):
         read_sidecar(tmp_path / "net.onnx")

@@ -1,4 +1,4 @@
-"""The guess of a sidecar, from a pair of known shift."""
+"""Guessing a sidecar from a test pair with known shift."""
 
 import onnx_networks
 import pytest
@@ -36,13 +36,13 @@ def test_conventions_are_found(tmp_path, made, wanted):
     )
 
 
-def test_of_one_image_it_is_the_custom(tmp_path):
+def test_monocular_networks_get_the_usual_convention(tmp_path):
     found = probe_network(onnx_networks.write_brightness_network(tmp_path / "net.onnx"))
     assert (found.sidecar.kind, found.sidecar.unit, found.error_px) == ("monocular", "inverse_depth", None)
     assert found.sidecar.inputs == {"image": "image"}
 
 
-def test_what_finds_no_shift_has_no_guess(tmp_path):
+def test_a_network_that_finds_no_shift_has_no_guess(tmp_path):
     nodes = [helper.make_node("Sub", ["left", "right"], ["disparity"])]
     inputs = [(name, [1, 3, "h", "w"]) for name in ("left", "right")]
     file = onnx_networks.save_network(tmp_path / "net.onnx", nodes, inputs, [("disparity", None)])
@@ -50,7 +50,7 @@ def test_what_finds_no_shift_has_no_guess(tmp_path):
         probe_network(file)
 
 
-def test_inputs_that_are_no_images(tmp_path):
+def test_inputs_that_are_not_images(tmp_path):
     nodes = [helper.make_node("Identity", ["words"], ["out"])]
     file = onnx_networks.save_network(
         tmp_path / "net.onnx", nodes, [("words", [1, 512, 4, 4])], [("out", None)]
