@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -11,6 +12,7 @@ from scanloom.cli.output import Output, format_size, format_table
 from scanloom.cli.paths import require_scan, require_writable
 from scanloom.cli.plot_option import require_plot
 from scanloom.cli.quality_option import QualityOption
+from scanloom.cli.rendering import as_typed
 from scanloom.cli.run_options import (
     ConfigOption,
     ConfigWords,
@@ -27,6 +29,8 @@ from scanloom.stages import ScanParams, SimplifyParams, UsageError
 from scanloom.stages.diagnostics.codes import USAGE_OPTIONS_CONFLICT
 from scanloom.stages.params import param
 from scanloom.stages.printing import format_upper_bound
+from scanloom.stages.registration.codes import CAMERA_FOCAL_ESTIMATED
+from scanloom.stages.scans.codes import CAMERA_INTRINSICS_GUESSED
 
 if TYPE_CHECKING:
     from scanloom.pipeline.run.dry_run import DryRun
@@ -188,8 +192,24 @@ def _summary(result: RunResult) -> str:
             f"({held_out['psnr_raw_db']:.1f} raw), SSIM {held_out['ssim']:.3f}, sharpness "
             f"{held_out['sharpness']:.2f}, {held_out['coverage_ratio']:.0%} of their pixels"
         )
+    if guess := _describe_guessed_camera(result.report):
+        lines.append(guess)
     placed = [path.relative_to(result.out).parts for stage in result.stages for path in stage.results]
     names = dict.fromkeys(parts[0] + ("/" if parts[1:] else "") for parts in placed)
     pages = [] if result.page is None else [result.page.name]
     lines.append(f"results in {result.out}: {', '.join([*names, 'report.json', *pages])}")
     return "\n".join(lines)
+
+
+def _describe_guessed_camera(report: Mapping[str, Any]) -> str:
+    """Repeat that the result depends on a guessed focal length; empty if it was stated or estimated."""
+    found = [*report["scan"]["diagnostics"]]
+    found += [one for stage in report["stages"].values() for one in stage.get("diagnostics", ())]
+    # A guess has the guessed values. The default camera of a data set has none.
+    guesses = [one for one in found if one["code"] == CAMERA_INTRINSICS_GUESSED.name and one.get("values")]
+    if not guesses or any(one["code"] == CAMERA_FOCAL_ESTIMATED.name for one in found):
+        return ""
+    return as_typed(
+        "the camera is a guess: if it is wrong, the mesh is bent, and floors and walls appear several times. "
+        "Set scan.intrinsics=NAME (such as d435, azure or kinect2) or scan.intrinsics=fx,fy,cx,cy"
+    )

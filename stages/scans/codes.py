@@ -195,9 +195,11 @@ CAMERA_INTRINSICS_GUESSED = Code(
     "camera.intrinsics-guessed",
     "No intrinsics: a camera is guessed",
     """
-A warning if the camera can be guessed, else an error. A wrong guess bends the mesh and scales it. Give the
-camera as `--intrinsics fx,fy,cx,cy` (`scan.intrinsics`) in pixels of the depth map, or give a file with
-`scan.calibration` ([forms](../formats/calibrations.md)).
+A warning if the camera can be guessed, else an error. A wrong guess bends the mesh and scales it; floors and
+walls then appear several times. Name the camera with `--intrinsics d435` (`scan.intrinsics`;
+[names](../formats/calibrations.md#cameras-by-name)), give `--intrinsics fx,fy,cx,cy` in pixels of the depth
+map, or give a file with `scan.calibration` ([forms](../formats/calibrations.md)). A run repeats the warning
+at its end if the guess was not replaced by an estimate.
 
 If poses are missing, too, [register](../stages/register.md#a-camera-that-nobody-stated) estimates the focal
 length together with the poses, and `scanloom inspect` reports the estimate. The estimate needs ten frame
@@ -206,7 +208,8 @@ not include errors that all pairs share, such as lens distortion, or colour that
 """,
     (
         "the folder has no intrinsics; 525,525,319.5,239.5 is guessed (the field of view of a Kinect); "
-        "for another camera set scan.intrinsics=fx,fy,cx,cy or scan.calibration=FILE"
+        "for another camera set scan.intrinsics=NAME (such as d435, azure or kinect2), "
+        "scan.intrinsics=fx,fy,cx,cy or scan.calibration=FILE"
     ),
 )
 POSE_MISSING = Code(

@@ -28,6 +28,13 @@ _MAX_NORMAL_ANGLE_DEG = 8.0
 _MAX_GUESS_ERROR_DEG = 60.0
 # Minimum ratio of the surface area that must support a direction.
 _MIN_AREA_RATIO = 0.03
+# A smaller area is a floor if it lies at the bottom of the scene: minimum ratio of the surface area, height
+# of the layer that contains the floor, as ratio of the scene's size, and maximum ratio of the area below it.
+_MIN_FLOOR_RATIO, _FLOOR_LAYER_RATIO, _MAX_BELOW_RATIO = 0.005, 0.02, 0.02
+# Degrees. Maximum error of the initial guess for such a floor.
+_MAX_FLOOR_ERROR_DEG = 45.0
+# Candidate directions, those with the largest support, that are examined for a floor.
+_FLOOR_CANDIDATE_COUNT = 60
 # Triangles sampled to estimate the up direction.
 _MAX_SAMPLED_TRIANGLES = 40_000
 # Degrees. An up direction this close to a coordinate axis is snapped to it.
@@ -254,7 +261,8 @@ def estimate_up_from_surface(mesh: Mesh, guess: Floats) -> Floats | None:
     """Estimate the up direction (3,) from floors and table tops; None if there are none.
 
     Among the directions within 60° of the guess, the result maximises the supporting area times the cosine of
-    the angle to the guess.
+    the angle to the guess. If hardly any surface is level, a small floor counts if it is the bottom of the
+    scene: the cameras are seldom held level in a room of which little floor is visible.
 
     Parameters
     ----------
@@ -264,17 +272,53 @@ def estimate_up_from_surface(mesh: Mesh, guess: Floats) -> Floats | None:
     chosen = mesh.triangles[:: 1 + len(mesh.triangles) // _MAX_SAMPLED_TRIANGLES]
     corners = mesh.vertices[chosen]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    area = np.linalg.norm(normals, axis=1)
-    normals = normals[area > 0] / area[area > 0, None]
-    area = area[area > 0] / max(float(area.sum()), np.finfo(np.float64).tiny)
+    given_area = np.linalg.norm(normals, axis=1)
+    normals = normals[given_area > 0] / given_area[given_area > 0, None]
+    area = given_area[given_area > 0] / max(float(given_area.sum()), np.finfo(np.float64).tiny)
     candidates = _sample_sphere(_CANDIDATE_COUNT)
     candidates = candidates[candidates @ guess >= math.cos(math.radians(_MAX_GUESS_ERROR_DEG))]
     support_ratios = np.array([_is_near_direction(normals, direction) @ area for direction in candidates])
     best = int(np.argmax(support_ratios * (candidates @ guess)))
     if support_ratios[best] < _MIN_AREA_RATIO:
-        return None
+        centers = corners[given_area > 0].mean(axis=1)
+        possible = np.argsort(-support_ratios, kind="stable")[:_FLOOR_CANDIDATE_COUNT]
+        return _find_floor(centers, normals, area, candidates[possible], guess)
     mean = (_is_near_direction(normals, candidates[best]) * area) @ normals
     return np.asarray(mean / np.linalg.norm(mean))
+
+
+def _find_floor(
+    centers: Floats, normals: Floats, area_ratios: Floats, candidates: Floats, guess: Floats
+) -> Floats | None:
+    """Return the normal (3,) of a small floor at the bottom of the scene; None if there is none.
+
+    Parameters
+    ----------
+    centers, normals, area_ratios : (n, 3), (n, 3) and (n,), of the triangles; ratios sum to 1.
+    candidates : (k, 3) directions that might be up.
+    guess : approximate up direction (3,), unit vector.
+    """
+    if not len(centers):
+        return None
+    size = float(np.linalg.norm(np.ptp(centers, axis=0)))
+    layer = max(_FLOOR_LAYER_RATIO * size, np.finfo(np.float64).tiny)
+    best, largest = None, 0.0
+    for direction in candidates[candidates @ guess >= math.cos(math.radians(_MAX_FLOOR_ERROR_DEG))]:
+        heights = centers @ direction
+        index = ((heights - heights.min()) / layer).astype(np.intp)
+        is_level = _is_near_direction(normals, direction)
+        bins = int(index.max()) + 1
+        level = np.bincount(index, area_ratios * is_level, bins)
+        # A floor may lie across the border of two bins.
+        level[:-1] += level[1:]
+        below = np.concatenate([[0.0], np.cumsum(np.bincount(index, area_ratios, bins))[:-1]])
+        level[below > _MAX_BELOW_RATIO] = 0
+        lowest = int(np.argmax(level))
+        if level[lowest] >= _MIN_FLOOR_RATIO and level[lowest] > largest:
+            largest = float(level[lowest])
+            is_floor = is_level & (index >= lowest) & (index <= lowest + 1)
+            best = (is_floor * area_ratios) @ normals
+    return None if best is None else np.asarray(best / np.linalg.norm(best))
 
 
 def _is_near_direction(normals: Floats, direction: Floats) -> NDArray[np.bool_]:

@@ -82,7 +82,8 @@ def _guess_camera(width: int, height: int) -> Camera:
     emit(
         CAMERA_INTRINSICS_GUESSED.warning(
             "the folder has no intrinsics; {fx:g},{fy:g},{cx:g},{cy:g} is guessed ({whose})",
-            remedy="for another camera set scan.intrinsics=fx,fy,cx,cy or scan.calibration=FILE",
+            remedy="for another camera set scan.intrinsics=NAME (such as d435, azure or kinect2), "
+            "scan.intrinsics=fx,fy,cx,cy or scan.calibration=FILE",
             fx=camera.fx,
             fy=camera.fy,
             cx=camera.cx,

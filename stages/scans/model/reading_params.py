@@ -10,6 +10,7 @@ from scanloom.stages.diagnostics.codes import USAGE_VALUE_INVALID
 from scanloom.stages.diagnostics.diagnostic import DiagnosticLocation
 from scanloom.stages.diagnostics.errors import UsageError
 from scanloom.stages.params import check_parameters, param
+from scanloom.stages.scans.calibration.named_cameras import create_named_camera, suggest_names
 from scanloom.stages.scans.model.poses import AS_WRITTEN, CONVENTIONS
 from scanloom.stages.scans.model.scan import Camera
 
@@ -20,7 +21,8 @@ class ReadingParams:
 
     intrinsics: str | None = param(
         None,
-        "Camera intrinsics `fx,fy,cx,cy` (for both cameras of a stereo pair), instead of the folder's.",
+        "Camera intrinsics `fx,fy,cx,cy` (for both cameras of a stereo pair), instead of the folder's; or a "
+        "camera: d435, d455, l515, azure, kinect1, kinect2, orbbec-astra, iphone-13-pro and others.",
         unit="px",
         common=True,
     )
@@ -126,10 +128,14 @@ class ReadingParams:
         Raises
         ------
         UsageError
-            If `intrinsics` is not four numbers, or a focal length is not positive.
+            If `intrinsics` is neither four numbers nor the name of a camera, or a focal length is not
+            positive.
         """
         if self.intrinsics is None:
             return None
+        named = create_named_camera(self.intrinsics, width, height)
+        if named is not None:
+            return named
         try:
             fx, fy, cx, cy = (float(word) for word in self.intrinsics.replace(",", " ").split())
         except ValueError:
@@ -137,9 +143,11 @@ class ReadingParams:
         if not (math.isfinite(fx + fy + cx + cy) and fx > 0 and fy > 0):
             raise UsageError(
                 USAGE_VALUE_INVALID,
-                "is {intrinsics!r}; it must be fx,fy,cx,cy in pixels, for example 525,525,319.5,239.5.",
+                "is {intrinsics!r}; it must be fx,fy,cx,cy in pixels, for example 525,525,319.5,239.5, or a "
+                "camera ({names}).",
                 DiagnosticLocation(parameter="intrinsics"),
                 intrinsics=self.intrinsics,
+                names=suggest_names(self.intrinsics),
             )
         return Camera(width, height, fx, fy, cx, cy)
 

@@ -46,6 +46,31 @@ def _direction(random: np.random.Generator) -> tuple[float, float]:
     return np.cos(angle), np.sin(angle)
 
 
+@pytest.mark.parametrize("seed", range(4))
+def test_a_small_floor_is_better_than_cameras(seed: int) -> None:
+    # 0.7 % of the surface, as in a room with few frames of its floor.
+    turn = Rotation.random(random_state=seed).as_matrix()
+    mesh = make_room(0.12, noise=0.0002)
+    mesh = mesh.with_(vertices=mesh.vertices @ turn.T)
+    tilt = Rotation.from_euler("x", 20 + seed, degrees=True).as_matrix()
+    poses = np.tile(np.eye(4), (3, 1, 1))
+    # Level cameras that look along three horizontal axes of a world that is tilted by 20°.
+    for pose, angle in zip(poses, (0, 40, 80), strict=True):
+        level = np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]])
+        pose[:3, :3] = turn @ tilt @ Rotation.from_euler("z", angle, degrees=True).as_matrix() @ level
+    found = estimate_up_of_scene(mesh, poses)
+    assert found.source == "surface"
+    assert np.degrees(np.arccos(found.direction @ turn[:, 2])) < 1.5
+
+
+def test_a_small_shelf_is_no_floor() -> None:
+    mesh = make_room(0.12)
+    # The first 441 vertices are those of the floor.
+    vertices = mesh.vertices.copy()
+    vertices[:441, 2] = 0.5
+    assert estimate_up_from_surface(mesh.with_(vertices=vertices), np.array((0.0, 0.0, 1.0))) is None
+
+
 def test_walls_without_floor_give_no_up_direction() -> None:
     mesh = make_room(0.0)
     walls = Mesh(mesh.vertices, mesh.triangles[800:])
