@@ -105,7 +105,7 @@ def measure_and_draw(
         chosen = choose_viewpoints(meshes["fused"], frames, params)
         drawings += (_ChunkedDrawing(name, one, chosen, box) for name, one in large.items())
         drawings += _list_drawings(models, chosen, color_by_photo)
-        if is_filled is not None and is_filled.any():
+        if "refined" in models and is_filled is not None and is_filled.any():
             drawings.append(_make_filled_drawing(models["refined"], small["refined"], is_filled, chosen))
     tasks += [partial(one.draw, folder) for one in drawings]
     # Chunked meshes are processed one at a time to save memory.

@@ -20,6 +20,7 @@ from scanloom.stages import coverage, lod, read_scan
 from scanloom.stages.comparing.certify import certify
 from scanloom.stages.comparing.compare import compare
 from scanloom.stages.comparing.deviations import deviations
+from scanloom.stages.surface import chunked_mesh
 from scanloom.stages.surface.chunked_ply import make_table_path
 from scanloom.stages.surface.formats.ply import read_ply, read_vertex_values
 
@@ -165,6 +166,16 @@ def test_refining_a_chunked_mesh_equals_in_memory_refinement(made: Any, tmp_path
     assert filled is not None
     assert set(filled.tolist()) <= {0.0, 1.0}
     assert not any("refined.ply" in text for text in said)
+
+
+def test_a_mesh_in_memory_is_reported_in_chunks(
+    made: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(chunked_mesh, "_MAX_SINGLE_CHUNK_TRIANGLES", 3_000)
+    result, _ = run_scan(made[0], tmp_path / "out")
+    assert get_metrics(result, "refine")["filled_holes"] > 0
+    assert len(result.report["pictures"]) >= 6
+    assert "pictures/refined-filled.png" not in result.report["pictures"]
 
 
 def test_without_enough_memory_refinement_is_skipped_and_reported(made: Any, tmp_path: Path) -> None:
