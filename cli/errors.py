@@ -35,6 +35,7 @@ _PATH_ERRORS = {
     errno.ENOTDIR: "this is not a folder",
     errno.ENAMETOOLONG: "the name is too long for this file system",
     errno.EROFS: "this file system cannot be written to",
+    errno.ELOOP: "the link leads to itself",
     errno.ENOTEMPTY: "this folder is not empty",
 }
 _MACHINE_ERRORS = {

@@ -30,6 +30,7 @@ from scanloom.cli.run_options import (
 )
 from scanloom.pipeline.batch.codes import BATCH_ALREADY_EXISTS, BATCH_SCANS_NOT_DONE
 from scanloom.stages.diagnostics.errors import InputError, UsageError
+from scanloom.stages.files.path_safety import resolve_path
 from scanloom.stages.params import check_parameters, param
 
 if TYPE_CHECKING:
@@ -111,7 +112,7 @@ def batch(
         )
     config = _portable(load_run_config(config_file, quality, words))
     _require_stages(until, run.forced)
-    folder, target = folder.resolve(), target.resolve()
+    folder, target = resolve_path(folder), resolve_path(target)
     where = get_cache_folder(target, run.cache_folder)
     if where == folder or target == folder:
         raise UsageError(
@@ -181,7 +182,7 @@ def _portable(config: Config) -> Config:
         params = getattr(config, section)
         values = {name: getattr(params, name) for name in names}
         # Paths that do not exist here are searched in the folder of each scan.
-        there = {name: str(Path(one).resolve()) for name, one in values.items() if one and Path(one).exists()}
+        there = {name: str(resolve_path(one)) for name, one in values.items() if one and Path(one).exists()}
         config = replace(config, **{section: replace(params, **there)})
     return config
 

@@ -15,7 +15,7 @@ from typing import Any
 from scanloom.pipeline.batch.codes import BATCH_QUEUE_REFUSED
 from scanloom.pipeline.relative_paths import get_relative_path
 from scanloom.stages.diagnostics.errors import InputError, ScanloomError
-from scanloom.stages.files.path_safety import is_safe_relative_path
+from scanloom.stages.files.path_safety import is_safe_relative_path, resolve_path
 
 # File that marks a folder as a cache.
 _CACHE_MARK = "CACHEDIR.TAG"
@@ -75,7 +75,7 @@ def find_job_problem(scan: object, name: object, out: Path, reserved_names: froz
 
 def is_inside(path: Path, folder: Path) -> bool:
     """Return True if a path is below a folder after all links are followed."""
-    return path.resolve().is_relative_to(folder.resolve())
+    return resolve_path(path).is_relative_to(resolve_path(folder))
 
 
 def _find_invalid_setting(about: Mapping[str, Any]) -> str | None:

@@ -16,6 +16,7 @@ from scanloom.pipeline.report.page.single_file_page import PageCamera
 from scanloom.stages.diagnostics.errors import InputError
 from scanloom.stages.files.documents import read_json, require_inside
 from scanloom.stages.files.input_files import read_input_bytes
+from scanloom.stages.files.path_safety import resolve_path
 
 _JPEG = b"\xff\xd8\xff"
 
@@ -71,7 +72,7 @@ def _read_photo(name: str, path: Path) -> bytes:
     Files outside the folder are rejected, because pages are shared.
     """
     photo = path.parent / require_inside(name, path, "photo")
-    if not photo.resolve().is_relative_to(path.parent.resolve()):
+    if not resolve_path(photo).is_relative_to(resolve_path(path.parent)):
         raise InputError(
             REPORT_INCOMPLETE, "the photo {name!r} is outside the folder.", path, name=name[:100]
         )

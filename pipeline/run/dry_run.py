@@ -22,6 +22,7 @@ from scanloom.stages.diagnostics.collector import collecting, emit
 from scanloom.stages.diagnostics.diagnostic import Diagnostic
 from scanloom.stages.diagnostics.errors import InputError
 from scanloom.stages.files.codes import FILE_OUTPUT_REFUSED
+from scanloom.stages.files.path_safety import resolve_path
 
 
 @dataclass(frozen=True)
@@ -115,7 +116,7 @@ def predict_run(
         As `scanloom.pipeline.run.run.run`, except that a file which must not be replaced only causes a
         warning.
     """
-    cache = Cache(get_cache_folder(Path(out).resolve(), cache_dir))
+    cache = Cache(get_cache_folder(resolve_path(out), cache_dir))
     prepared = prepare_run(scan_folder, out, config or Config(), until, force, cache)
     results = OutputFolder(cache, prepared.out, overwrite=overwrite)
     refusal_reason = None

@@ -15,6 +15,7 @@ from scanloom.pipeline.run.events import RunEventHandler, ignore_run_event
 from scanloom.pipeline.run.run import RunResult, get_cache_folder, run
 from scanloom.pipeline.run.run_request import RunRequest
 from scanloom.stages.diagnostics.errors import InputError
+from scanloom.stages.files.path_safety import resolve_path
 
 
 def continue_run(
@@ -68,8 +69,8 @@ def _read_request(out: Path, cache_dir: Path | None) -> RunRequest:
         )
     if not out.is_dir():
         raise InputError(REPORT_NO_RUN, "this is a file", out, remedy="give the output folder of a run.")
-    cache = get_cache_folder(out.resolve(), cache_dir)
-    record = Cache(cache).read_latest_run(out.resolve()) if cache.is_dir() else {}
+    cache = get_cache_folder(resolve_path(out), cache_dir)
+    record = Cache(cache).read_latest_run(resolve_path(out)) if cache.is_dir() else {}
     request = RunRequest.from_record(record.get("asked"))
     if request is None and not (out / REPORT).is_file():
         raise InputError(

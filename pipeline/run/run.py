@@ -41,6 +41,7 @@ from scanloom.stages.diagnostics.diagnostic import Diagnostic, Severity
 from scanloom.stages.diagnostics.errors import InputError, UsageError
 from scanloom.stages.files.codes import FILE_OUTPUT_REFUSED
 from scanloom.stages.files.input_files import read_input_bytes
+from scanloom.stages.files.path_safety import resolve_path
 from scanloom.stages.printing import format_count, format_line, render_rows
 from scanloom.stages.scans.model.scan import Scan
 from scanloom.stages.scans.reader import read_scan, require_complete
@@ -164,7 +165,7 @@ def run(
     StageError
         If a stage fails, the disk or memory is exhausted, or a limit is exceeded.
     """
-    cache = Cache(get_cache_folder(Path(out).resolve(), cache_dir))
+    cache = Cache(get_cache_folder(resolve_path(out), cache_dir))
     prepared = prepare_run(scan_folder, out, config or Config(), until, force, cache)
     return run_prepared(prepared, cache, overwrite=overwrite, limits=limits, events=events)
 
@@ -203,7 +204,7 @@ def prepare_run(
 
     See `run`. Nothing is written.
     """
-    scan_folder, out = Path(scan_folder).resolve(), Path(out).resolve()
+    scan_folder, out = resolve_path(scan_folder), resolve_path(out)
     for folder, what in ((out, "output"), (cache.folder, "cache")):
         if folder == scan_folder:
             raise UsageError(
@@ -259,7 +260,7 @@ def _read_photos(config: Config, scan: Scan) -> Scan | None:
 def get_cache_folder(out: Path, given: Path | str | None = None) -> Path:
     """Return the cache folder: `given`, else $SCANLOOM_CACHE, else `out/cache`."""
     chosen = given or os.environ.get(CACHE_VARIABLE)
-    return Path(chosen).resolve() if chosen else out / "cache"
+    return resolve_path(chosen) if chosen else out / "cache"
 
 
 def run_prepared(

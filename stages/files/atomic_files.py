@@ -13,6 +13,7 @@ from pathlib import Path
 from scanloom.stages.diagnostics.errors import InputError, StageError
 from scanloom.stages.files.atomic_rename import rename_atomically
 from scanloom.stages.files.codes import FILE_OUTPUT_REFUSED, FILE_PATH_INVALID
+from scanloom.stages.files.path_safety import resolve_path
 
 # Bytes. File systems limit names to 255; the name of a temporary file is longer by `_DRAFT_SUFFIX_LENGTH`.
 _MAX_NAME_BYTES = 255
@@ -33,7 +34,7 @@ def write_file_atomically(path: Path) -> Iterator[Path]:
     StageError
         If the system refuses to write: missing folder, permissions, disk full.
     """
-    target = path.resolve() if path.is_symlink() else path
+    target = resolve_path(path) if path.is_symlink() else path
     draft = create_draft_path(target)
     try:
         mode = _check_replaceable(target, path)

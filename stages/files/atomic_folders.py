@@ -11,6 +11,7 @@ from scanloom.stages.diagnostics.errors import InputError, StageError
 from scanloom.stages.files.atomic_files import create_draft_path
 from scanloom.stages.files.atomic_rename import rename_atomically
 from scanloom.stages.files.codes import FILE_OUTPUT_REFUSED
+from scanloom.stages.files.path_safety import resolve_path
 
 
 @contextmanager
@@ -34,7 +35,7 @@ def write_folder_atomically(
     StageError
         If the system refuses to write.
     """
-    target = path.resolve()
+    target = resolve_path(path)
     require_replaceable_folder(path, may_replace, description)
     draft, old = create_draft_path(target), create_draft_path(target)
     try:

@@ -7,6 +7,7 @@ documents are limited.
 from __future__ import annotations
 
 import json
+import math
 import re
 import sys
 from collections.abc import Iterable, Iterator
@@ -86,6 +87,24 @@ def iterate_lines(path: Path) -> Iterator[tuple[int, str]]:
             yield number, text
 
 
+def parse_assignments(text: str, separators: str = "=") -> dict[str, str]:
+    """Parse lines `name = value` into a dictionary.
+
+    The last value of a name is used. Other lines are ignored.
+
+    Parameters
+    ----------
+    separators : characters that may stand between name and value.
+    """
+    found: dict[str, str] = {}
+    for line in text.split("\n"):
+        at = min((k for k in map(line.find, separators) if k >= 0), default=-1)
+        name = line[: max(at, 0)].strip()
+        if name.replace("_", "a").isalnum():
+            found[name] = line[at + 1 :].strip()
+    return found
+
+
 def require_inside(name: str, path: Path, location: str) -> str:
     r"""Validate a file name listed in a scan as a relative path.
 
@@ -130,12 +149,21 @@ def read_json(path: Path) -> object:
 def parse_json(text: str, path: Path) -> object:
     """Parse JSON text; `path` names its source in messages (see `read_json`)."""
     try:
-        document: object = json.loads(text)
+        document: object = json.loads(text, parse_int=parse_short_integer)
         require_shallow(document)
     except (ValueError, RecursionError) as error:
         line = f" (line {error.lineno})" if isinstance(error, json.JSONDecodeError) else ""
         raise InputError(FILE_TEXT_INVALID, "the file is not valid JSON{line}.", path, line=line) from error
     return document
+
+
+def parse_short_integer(digits: str) -> int | float:
+    """Parse the digits of an integer; as a float if it has more than 64 bits.
+
+    Longer integers cannot be converted to float64, which raises OverflowError in many places.
+    """
+    number = int(digits) if len(digits) < 20 else 1 << 64
+    return number if -(1 << 63) <= number < 1 << 63 else float(digits)
 
 
 def require_shallow(document: object) -> None:
@@ -306,8 +334,14 @@ def _parse_yaml(text: str) -> object:
             return str(node.value)
         if len(node.value) > _MAX_NUMBER_DIGITS:
             raise yaml.YAMLError(f"a number has {len(node.value):,} digits")
-        is_whole = node.tag.endswith(":int")
-        return loader.construct_yaml_int(node) if is_whole else loader.construct_yaml_float(node)
+        if not node.tag.endswith(":int"):
+            return loader.construct_yaml_float(node)
+        number: int = loader.construct_yaml_int(node)
+        if -(1 << 63) <= number < 1 << 63:
+            return number
+        if number.bit_length() > 1000:
+            return math.inf if number > 0 else -math.inf
+        return float(number)
 
     def create_matrix(loader: yaml.SafeLoader, node: yaml.Node) -> dict[Any, Any]:
         if not isinstance(node, yaml.MappingNode):
@@ -323,7 +357,7 @@ def _parse_yaml(text: str) -> object:
         if header is not None:
             # OpenCV accepts `PointSize:2` without a space; YAML would read it as a string.
             text = re.sub(
-                r"^(\s*[A-Za-z_][\w.]*):(?=[^\s:])", r"\1: ", text[header.end() :], flags=re.MULTILINE
+                r"^([ \t]*[A-Za-z_][\w.]*):(?=[^\s:])", r"\1: ", text[header.end() :], flags=re.MULTILINE
             )
         # `rostopic echo` ends each message with the separator of the next document.
         document: object = yaml.load(re.sub(r"\n---\s*\Z", "\n", text), Loader)

@@ -108,7 +108,12 @@ def snap_to_grid(hierarchy: Hierarchy) -> tuple[Hierarchy, PositionGrid]:
 
 
 def _choose_step(size: float, steps: int) -> float:
-    """Return the smallest power of two of which at most `steps` cover a length."""
+    """Return the smallest power of two of which at most `steps` cover a length.
+
+    Infinite if no float is large enough.
+    """
+    if not size / steps < 2.0**1000:
+        return math.inf
     step = 2.0 ** (math.frexp(max(size, _MIN_STEP) / steps)[1] - 1)
     return max(step if step * steps >= size else 2 * step, _MIN_STEP)
 

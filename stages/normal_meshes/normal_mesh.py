@@ -155,7 +155,7 @@ class NormalMesh:
             "folded_triangles": self.folded_count,
             **{name: value for name, value in rounding.items() if value is not None},
             "file_bytes": len(self.data),
-            "bits_per_vertex": 8 * len(self.data) / len(self.mesh.vertices),
+            "bits_per_vertex": 8 * len(self.data) / max(len(self.mesh.vertices), 1),
             "by_level": by_level,
             "damage": self.damage,
         }

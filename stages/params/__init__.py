@@ -275,6 +275,15 @@ def _check_type(name: str, value: Any, types: tuple[Any, ...]) -> None:
             value=value,
             names=describe_kinds(types),
         )
+    if isinstance(value, (str, Path)) and "\0" in str(value):
+        raise UsageError(
+            USAGE_VALUE_INVALID, "contains a null character.", DiagnosticLocation(parameter=name)
+        )
+    # Larger integers cannot be compared with numbers, and the largest cannot even be printed.
+    if isinstance(value, int) and not -(1 << 63) <= value < 1 << 63:
+        raise UsageError(
+            USAGE_VALUE_INVALID, "is an integer of more than 64 bits.", DiagnosticLocation(parameter=name)
+        )
 
 
 def _check_range(name: str, value: float, info: ParameterInfo) -> None:

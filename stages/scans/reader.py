@@ -230,6 +230,8 @@ def _collect_files(scan: Scan, opened_files: Collection[Path]) -> frozenset[Path
         for image in (frame.color, frame.right, frame.depth, frame.confidence, frame.mask)
     ]
     held = [image.file if isinstance(image, PackedImage) else image for image in images]
+    if any(isinstance(path, Path) and "\0" in str(path) for path in held):
+        raise InputError(FILE_PATH_INVALID, "the name of an image contains a null character.", scan.folder)
     return frozenset({*opened_files, *(path for path in held if isinstance(path, Path))})
 
 

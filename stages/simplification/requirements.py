@@ -37,6 +37,19 @@ def report_unmet_requirements(params: SimplifyParams, statistics: Mapping[str, A
                 "the requested bounds are not proven; {most} are proven instead.", most=bound_text
             )
         )
+    asked = details.get("max_shape_m")
+    is_required = asked is not None and statistics.get("default_max_shape_m") is None
+    if details.get("proven") is True and is_required and details["shape_bound_m"] > asked * (1 + 1e-9):
+        emit(
+            SIMPLIFY_BOUND_NOT_PROVEN.unmet(
+                "max_shape ({asked:.3g} m) is below the resolution of a proof for this mesh; "
+                "{bound} m are proven instead.",
+                remedy="increase max_shape to at least {least} m, or move the mesh to the origin.",
+                asked=asked,
+                bound=format_upper_bound(details["shape_bound_m"]),
+                least=format_upper_bound(2 * details["slack_m"]),
+            )
+        )
     measured, max_color = details.get("color_measured_levels"), details.get("max_color_levels")
     if measured is not None and max_color is not None and measured > max_color:
         emit(

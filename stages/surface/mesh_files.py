@@ -22,6 +22,7 @@ from scanloom.stages.files.atomic_files import write_file_atomically
 from scanloom.stages.files.blas_memory import reserve_blas_buffers
 from scanloom.stages.files.codes import FILE_PATH_INVALID, FILE_UNREADABLE
 from scanloom.stages.files.input_files import read_input_bytes
+from scanloom.stages.files.path_safety import resolve_path
 from scanloom.stages.surface.codes import (
     MESH_COMPRESSION_UNKNOWN,
     MESH_FILE_DAMAGED,
@@ -145,7 +146,7 @@ def write_mesh(path: Path | str, mesh: Mesh) -> None:
         )
     if path.is_symlink():
         # Images and materials must be written next to the link's target.
-        path = path.resolve()
+        path = resolve_path(path)
     if extension == ".ply":
         write_ply(path, mesh)
     elif extension == ".obj":
@@ -236,12 +237,17 @@ def _report_unused_off_data(data: bytes, path: Path) -> None:
 
     They follow the coordinates of a vertex or the corners of a face.
     """
-    text = data.decode("utf-8", "replace").partition("OFF")[2]
-    rows = [words for line in text.splitlines() if (words := line.partition("#")[0].split())]
-    vertices, faces = int(rows[0][0]), int(rows[0][1])
+    lines = data.decode("utf-8", "replace").splitlines()
+    text = "\n".join(line.partition("#")[0] for line in lines).partition("OFF")[2]
+    rows = [words for line in text.splitlines() if (words := line.split())]
+    try:
+        vertices, faces = int(rows[0][0]), int(rows[0][1])
+        sizes = [int(row[0]) + 1 for row in rows[1 + vertices : 1 + vertices + faces]]
+    except (IndexError, ValueError):
+        return  # trimesh splits some files in another way
     for called, there in (
         ("vertices", any(len(row) > 3 for row in rows[1 : 1 + vertices])),
-        ("faces", any(len(row) > int(row[0]) + 1 for row in rows[1 + vertices : 1 + vertices + faces])),
+        ("faces", any(len(row) > size for row, size in zip(rows[1 + vertices :], sizes, strict=False))),
     ):
         if there:
             emit(

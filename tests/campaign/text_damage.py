@@ -41,6 +41,45 @@ WORDS = (
     "../../../etc/none",
     "a" * 300,
 )
+# Repeated to a long line, each keeps a pattern busy that may match its parts in several ways.
+RUNS = (
+    *(
+        " ",
+        "\t",
+        "\n",
+        "\r",
+        "a",
+        "9",
+        "1 ",
+        "1,",
+        ", ",
+        ";",
+        "= ",
+        ": ",
+        ".",
+        "a.",
+        "#",
+        "(",
+        "[",
+        "<a>",
+        '"',
+        "'",
+    ),
+    *(
+        "cam",
+        "intrinsic ",
+        "frame",
+        "x.mtl",
+        ".mtl ",
+        "P1_roi",
+        "\nP1_roi",
+        "\n---",
+        "\n-",
+        "a=",
+        "left",
+        "bounding box",
+    ),
+)
 _NUMBER = re.compile(r"-?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?")
 _WORD = re.compile(r"[^\s,;:{}\[\]()=]+")
 
@@ -93,6 +132,16 @@ def opened_deep(text: str, draw: random.Random) -> str:
     return text[:at] + opening * depth + draw.choice(("", closing * depth)) + text[at:]
 
 
+def line_lengthened(text: str, draw: random.Random, length: int = 1 << 18) -> str:
+    """Insert a long run of one character or word behind a word."""
+    run = draw.choice(RUNS)
+    ends = [found.end() for found in _WORD.finditer(text)] or [0]
+    at = draw.choice(ends)
+    return (
+        text[:at] + draw.choice(("", " ")) + run * (length // len(run)) + draw.choice(("", "!")) + text[at:]
+    )
+
+
 _ALL: tuple[Callable[[str, random.Random], str], ...] = (
     number_replaced,
     number_replaced,
@@ -103,6 +152,7 @@ _ALL: tuple[Callable[[str, random.Random], str], ...] = (
     line_inserted,
     ends_changed,
     opened_deep,
+    line_lengthened,
 )
 
 

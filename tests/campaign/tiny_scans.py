@@ -113,6 +113,65 @@ def _stereo(folder: Path) -> None:
     (folder / "poses.txt").write_text("".join(" ".join(_rows(pose[:3]).split()) + "\n" for pose in _POSES))
 
 
+def _middlebury(folder: Path) -> None:
+    _images(folder, "im{}.png", None, ("0", "1"))
+    (folder / "calib.txt").write_text(
+        "cam0=[100 0 16; 0 100 12; 0 0 1]\ncam1=[100 0 20; 0 100 12; 0 0 1]\ndoffs=4\nbaseline=250\n"
+        "width=32\nheight=24\nndisp=30\nisint=0\n"
+    )
+
+
+def _karlsruhe(folder: Path) -> None:
+    _images(folder, "I{}.png", None, ("1_000000", "1_000001", "2_000000", "2_000001"))
+    (folder / "calib.txt").write_text(
+        "P1_roi: 100 0 16 0 0 100 12 0 0 0 1 0\nP2_roi = 100 0 16 -50 0 100 12 0 0 0 1 0\n"
+    )
+    (folder / "poses.txt").write_text("".join(" ".join(_rows(pose[:3]).split()) + "\n" for pose in _POSES))
+
+
+def _kitti(folder: Path) -> None:
+    _images(folder, "{}.png", None, [f"image_{side}/00000{n}" for side in (2, 3) for n in (0, 1)])
+    rows = {0: 0, 1: -50, 2: 0, 3: -50}
+    (folder / "calib.txt").write_text(
+        "".join(f"P{k}: 100 0 16 {b} 0 100 12 0 0 0 1 0\n" for k, b in rows.items())
+    )
+    (folder / "poses.txt").write_text("".join(" ".join(_rows(pose[:3]).split()) + "\n" for pose in _POSES))
+
+
+def _bundle_fusion(folder: Path) -> None:
+    names = ("frame-000002", "frame-000010")
+    _images(folder, "{}.color.png", "{}.depth.png", names)
+    for name, pose in zip(names, _POSES, strict=True):
+        (folder / f"{name}.pose.txt").write_text(_rows(pose))
+    camera = "100 0 16 0 0 100 12 0 0 0 1 0 0 0 0 1"
+    (folder / "info.txt").write_text(
+        "m_versionNumber = 4\nm_colorWidth = 32\nm_colorHeight = 24\nm_depthShift = 1000\n"
+        f"m_calibrationColorIntrinsic = {camera}\nm_calibrationDepthIntrinsic = {camera}\n"
+    )
+
+
+def _camera_text(folder: Path) -> None:
+    names = ("frame-000002", "frame-000010")
+    _images(folder, "{}.color.png", "{}.depth.png", names)
+    blocks = {
+        f"Camera-to-world extrinsic matrix for {n}": _rows(p) for n, p in zip(names, _POSES, strict=True)
+    }
+    blocks["Color camera intrinsic matrix"] = blocks["Depth camera intrinsic matrix"] = _INTRINSICS
+    blocks["Depth-to-color camera extrinsic matrix"] = _rows(np.eye(4))
+    (folder / "cam.info.txt").write_text("".join(f"# {head}\n{rows}\n" for head, rows in blocks.items()))
+
+
+def _view_circle(folder: Path) -> None:
+    _images(folder, "x{}.png", None, ("0001", "0002"))
+    rows = []
+    for k, pose in enumerate(_POSES, 1):
+        moved = np.linalg.inv(pose)
+        values = [100, 0, 16, 0, 100, 12, 0, 0, 1, *moved[:3, :3].ravel(), *moved[:3, 3]]
+        rows.append(f"x000{k}.png {' '.join(map(str, values))}\n")
+    (folder / "x_par.txt").write_text(f"{len(rows)}\n{''.join(rows)}")
+    (folder / "README.txt").write_text("bounding box is (-0.1 -0.2 -0.3) (0.1 0.2 0.3)\n")
+
+
 def _bag(folder: Path) -> None:
     ros_bag().write(folder / "take.bag")
 
@@ -157,6 +216,12 @@ SCANS: dict[str, tuple[str, Callable[[Path], None]]] = {
     "nerfstudio": (".", _nerfstudio),
     "COLMAP": (".", _colmap),
     "stereo pairs": (".", _stereo),
+    "Middlebury": (".", _middlebury),
+    "Middlebury views": (".", _view_circle),
+    "Karlsruhe": (".", _karlsruhe),
+    "KITTI": (".", _kitti),
+    "BundleFusion": (".", _bundle_fusion),
+    "camera text": (".", _camera_text),
     "sample of RGB-D": (".", _sample_rgbd),
     "sample of stereo": (".", _sample_stereo),
     "ROS bag": ("take.bag", _bag),

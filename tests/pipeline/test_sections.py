@@ -1,3 +1,4 @@
+import contextlib
 from dataclasses import dataclass, field, fields
 
 import numpy as np
@@ -228,3 +229,19 @@ def test_infinity_has_no_canonical_form():
         Config(fuse=FuseParams(voxel_size=float("inf"))).to_canonical("fuse")
     with pytest.raises(UsageError, match=r"fuse\.bricks\.size is infinite"):
         Config(fuse=FuseParams(bricks=BrickParams(size=float("inf")))).to_canonical("fuse")
+
+
+def test_no_value_of_a_parameter_is_a_bug():
+    """An integer of 400 digits raised OverflowError, and a null character ValueError."""
+    from scanloom.pipeline.config import Config
+    from scanloom.stages.diagnostics.errors import ScanloomError
+    from scanloom.stages.params import describe_all
+
+    keys = [f"{name}.{key}" for name, cls in Config.get_types().items() for key in describe_all(cls)]
+    assert len(keys) > 150
+    for key in keys:
+        for text in ("9" * 400, "-" + "9" * 400, "a\0b", "nan", "inf", "", "[]", "\ud800", "1,2"):
+            with contextlib.suppress(ScanloomError):
+                config = Config().set([f"{key}={text}"])
+                assert "\0" not in text, key
+                assert Config.loads(config.dumps()) == config

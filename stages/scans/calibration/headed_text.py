@@ -28,7 +28,7 @@ from scanloom.stages.scans.model.scan import Pose
 from scanloom.stages.scans.trajectory import trajectory_formats as trajectories
 
 # Patterns of headings: type of the matrix, its direction, and its frame.
-_CAMERA_TO_WORLD = re.compile(r"cam\w*[ -](?:to|2)[ -]world|camera pose", re.IGNORECASE)
+_CAMERA_TO_WORLD = re.compile(r"cam\w{0,40}[ -](?:to|2)[ -]world|camera pose", re.IGNORECASE)
 _WORLD_TO_CAMERA = re.compile(r"world[ -](?:to|2)[ -]cam", re.IGNORECASE)
 _DEPTH_TO_COLOR = re.compile(r"depth[ -](?:to|2)[ -](?:colou?r|rgb)", re.IGNORECASE)
 _INTRINSIC = re.compile(r"(?:(colou?r|rgb)|(depth|infrared|ir))?.*\bintrinsic", re.IGNORECASE)
@@ -86,7 +86,7 @@ def read_headed_text(path: Path) -> HeadedText:
             poses[frame[0]] = invert_pose(pose) if is_inverse and pose is not None else pose
         elif _DEPTH_TO_COLOR.search(heading):
             color_from_depth = check_rigid_pose(_require_four_columns(matrix, where, path), path, where)
-        elif (camera := _INTRINSIC.search(heading)) is not None:
+        elif (camera := _INTRINSIC.match(heading)) is not None:
             cameras["depth" if camera[2] else "color"] = matrix[:3, :3]
         else:
             others.append(heading)

@@ -10,8 +10,8 @@ from __future__ import annotations
 import re
 from typing import Any
 
-_NAME_VALUE_LINE = re.compile(r"([A-Za-z][\w. ]{0,40}?)\s*(?:\(([^)]{0,40})\))?\s*[:=,]\s*(.{1,400})")
-_SPACED_LINE = re.compile(r"([A-Za-z]\w{0,40})()\s+([-+.\d].{0,400})")
+_NAME_VALUE_LINE = re.compile(r"([A-Za-z][\w. ]{0,40}?) ?(?:\(([^)]{0,40})\))? ?[:=,] ?(.{1,400})")
+_SPACED_LINE = re.compile(r"([A-Za-z]\w{0,40})() ([-+.\d].{0,400})")
 _HEADING = re.compile(r"\[([^\]]{1,80})\]|((?:in|ex)trinsics? (?:of|from) .{1,120}?):?", re.IGNORECASE)
 _SEPARATORS = re.compile(r"[\s,;\[\]{}]+")
 _ALIASES = {"ffx": "fx", "ffy": "fy"}
@@ -29,7 +29,8 @@ def parse_named_text(text: str) -> dict[str, Any] | None:
     whole: dict[str, Any] = {}
     here = whole
     for line in text.splitlines():
-        words = line.partition("#")[0].strip()
+        # With single spaces, no two parts of a pattern can match the same spaces.
+        words = " ".join(line.partition("#")[0].split())
         heading = _HEADING.fullmatch(words)
         if heading is not None:
             name = (heading[1] or heading[2]).strip()

@@ -42,6 +42,8 @@ _SIDE_MARKS = (
     ("0", "1"),
 )
 # Names of the new camera matrices after undistortion or rectification; they do not belong to the raw images.
+# Longer keys are not names of cameras, and each of their letters could be a mark.
+_MAX_KEY_LENGTH = 100
 _RECTIFIED_NAME = re.compile("new|opt|rect|undist", re.IGNORECASE)
 _DISTORTION_NAME = re.compile("dist|coef|^d", re.IGNORECASE)
 _COEFFICIENT_COUNTS = (4, 5, 8, 12, 14)
@@ -86,6 +88,8 @@ def _find_matching_pair(
 
 def _iterate_right_names(name: str) -> Iterator[str]:
     """Yield the possible keys of the right camera for a key of the left camera."""
+    if len(name) > _MAX_KEY_LENGTH:
+        return
     for left, right in _SIDE_MARKS:
         for found in re.finditer(left, name):
             yield name[: found.start()] + right + name[found.end() :]

@@ -33,7 +33,7 @@ from scanloom.stages.scans.streams.stereo_rigs import find_rig
 from scanloom.stages.scans.trajectory import trajectory_formats as trajectories
 
 _IMAGE_NAME = re.compile(r"I([12])_\d+")
-_PROJECTION_LINE = re.compile(r"^\s*P([12])_roi\s*[:=]\s*(.*?)\s*$", re.MULTILINE)
+_PROJECTION_NAMES = {"1": "P1_roi", "2": "P2_roi"}
 _CALIBRATION_FILES = ("calib.txt", "../calib.txt")
 _POSE_FILES = ("poses.txt", "poses.tum")
 _CAR_POSITIONS_FILE = "insdata.txt"
@@ -84,7 +84,11 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
 def _read_projections(calib: Path) -> dict[str, NDArray[np.float64]]:
     """Read the projection matrices (3, 4), by camera number."""
     found = {}
-    for side, text in _PROJECTION_LINE.findall(documents.read_text(calib)):
+    values = documents.parse_assignments(documents.read_text(calib), ":=")
+    for side, name in _PROJECTION_NAMES.items():
+        text = values.get(name)
+        if text is None:
+            continue
         try:
             row = np.array([float(word) for word in text.split()])
         except ValueError:

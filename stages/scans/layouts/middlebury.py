@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from pathlib import Path
 
 import numpy as np
@@ -38,7 +37,7 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
 
 
 def _read_rig(calib: Path, size: tuple[int, int], options: ReadingParams) -> StereoRig:
-    values = dict(re.findall(r"^\s*(\w+)\s*=\s*(.*?)\s*$", documents.read_text(calib), re.MULTILINE))
+    values = documents.parse_assignments(documents.read_text(calib))
     try:
         stated = get_stated_size(
             {key: values[key] for key in ("width", "height") if key in values}, *size, calib

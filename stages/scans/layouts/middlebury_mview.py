@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from scanloom.stages.diagnostics.errors import InputError
 from scanloom.stages.files import documents
+from scanloom.stages.files.path_safety import is_safe_relative_path
 from scanloom.stages.scans.calibration.camera_files import create_camera_from_matrix
 from scanloom.stages.scans.codes import SCAN_FILES_MISSING, SCAN_TABLE_DAMAGED
 from scanloom.stages.scans.image_folders.image_files import find_common_size
@@ -23,7 +24,10 @@ _NUMBER_COUNT = 21  # K and R (row-major), and t.
 # Maximum skew, pixels; smaller values move no point visibly.
 _MAX_SKEW_PX = 0.1
 _TRIPLE_PATTERN = r"\(([^()]{5,200})\)"
-_BOX_PATTERN = re.compile(rf"bounding box[^()]{{0,200}}{_TRIPLE_PATTERN}\s*{_TRIPLE_PATTERN}", re.IGNORECASE)
+_BOX_PATTERN = re.compile(
+    rf"bounding box[^()]{{0,200}}{_TRIPLE_PATTERN}\s{{0,20}}{_TRIPLE_PATTERN}", re.IGNORECASE
+)
+_MAX_NAME_BYTES = 255
 _MAX_NOTES_BYTES = 1 << 20
 _MAX_COORDINATE_M = 1e6
 
@@ -77,7 +81,8 @@ def _read_rows(par: Path) -> list[tuple[str, NDArray[np.float64]]]:
         if not rows and stated is None and not words and name.isdecimal():
             stated = int(name[:9])
             continue
-        if Path(name).name != name:
+        is_file_name = Path(name).name == name and is_safe_relative_path(name)
+        if not is_file_name or len(name.encode("utf-8", "replace")) > _MAX_NAME_BYTES:
             raise InputError(
                 SCAN_TABLE_DAMAGED,
                 "line {number}: {name!r} is not the name of an image in the same folder.",

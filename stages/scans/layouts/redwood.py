@@ -15,6 +15,7 @@ from scanloom.stages.diagnostics.diagnostic import Diagnostic
 from scanloom.stages.diagnostics.errors import InputError
 from scanloom.stages.files.file_access_log import pause_recording
 from scanloom.stages.files.images import read_stored_image
+from scanloom.stages.files.path_safety import resolve_path
 from scanloom.stages.scans.calibration import azure_kinect
 from scanloom.stages.scans.calibration import camera_files as calibration
 from scanloom.stages.scans.calibration.camera_resolution import find_or_guess_camera
@@ -158,7 +159,7 @@ def _find_trajectory(folder: Path) -> Path | None:
     Searched in the folder, in scene/ (where Open3D's reconstruction system writes it), and in the parent
     folder.
     """
-    for place in (folder, folder / "scene", folder.resolve().parent):
+    for place in (folder, folder / "scene", resolve_path(folder).parent):
         others = [*place.glob("*traj*.log"), *place.glob("*traj*.txt")]
         found = find_first_existing(place, *_TRAJECTORY_FILES) or (others[0] if len(others) == 1 else None)
         if found is not None:

@@ -191,7 +191,7 @@ def _read_color_camera(folder: Path, options: ReadingParams, camera: Camera) -> 
 
 
 def _read_settings(info: Path) -> dict[str, str]:
-    return dict(re.findall(r"^\s*(\w+)\s*=\s*(.*?)\s*$", documents.read_text(info), re.MULTILINE))
+    return documents.parse_assignments(documents.read_text(info))
 
 
 def _parse_camera(text: str, width: int, height: int, info: Path) -> Camera:

@@ -474,7 +474,7 @@ def assign_by_number(values: Sequence[T], names: Sequence[str], path: Path, noun
     """
     if len(values) == len(names):
         return list(values)
-    last = [int((re.findall(r"\d+", name) or ["-1"])[-1]) for name in names]
+    last = [int((re.findall(r"\d+", name[-_MAX_NUMBER_LENGTH:]) or ["-1"])[-1]) for name in names]
     if len(values) > len(names) == len(set(last)) and min(last) >= 0 and max(last) < len(values):
         emit(
             POSE_ASSUMED.warning(

@@ -9,9 +9,9 @@ Every point of either surface is within `max_shape` of the other surface. Its co
 the colour at every nearest point there. The bounds hold for the exact coordinates, and for 32-bit floats in a
 file. For this and for single-precision searches they include a slack: 2⁻²¹ of the largest coordinate and 2⁻²⁰
 of the bounding box's diagonal. The smallest provable distance is twice the slack; a smaller `max_shape` is
-raised to it. A smaller `max_color` than half a level is raised to that. Where sheets of different colours
-touch, a point has nearest points of both colours and no colour bound may be provable. Triangles there stay
-unchanged.
+raised to it, which is reported as an unmet requirement. A smaller `max_color` than half a level is raised to
+that. Where sheets of different colours touch, a point has nearest points of both colours and no colour bound
+may be provable. Triangles there stay unchanged.
 
 For meshes with texture coordinates, materials, parts or corner normals, edges collapse as in method `seams`.
 Only the distance is proven then. `max_color` is checked at samples as dense as the texels, and reported as

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from scanloom.stages import _kernels
 from scanloom.stages.diagnostics.errors import InputError
 from scanloom.stages.files.codes import FILE_UNREADABLE
+from scanloom.stages.files.documents import parse_short_integer
 from scanloom.stages.files.input_files import read_input_bytes
 from scanloom.stages.surface.codes import MESH_COMPANION_MISSING, MESH_COMPRESSION_UNKNOWN, MESH_FILE_DAMAGED
 from scanloom.stages.surface.formats.texture_files import resolve_companion
@@ -217,7 +218,7 @@ def read_container(path: Path) -> Gltf:
         ) from error
     text, binary = _split_glb_chunks(path, data) if path.suffix.lower() == ".glb" else (data, b"")
     try:
-        tree = json.loads(text)
+        tree = json.loads(text, parse_int=parse_short_integer)
         version = str(tree["asset"]["version"])
     except (ValueError, KeyError, TypeError, RecursionError) as error:
         raise InputError(

@@ -107,7 +107,9 @@ def _split_library_names(folder: Path, libraries: Iterable[str]) -> list[str]:
     """
     files: dict[str, None] = {}
     for words in libraries:
-        names = re.findall(r"\S.*?\.mtl(?=\s|$)", words, re.IGNORECASE)
+        ends = [match.end() for match in re.finditer(r"\.mtl(?!\S)", words, re.IGNORECASE)]
+        names = [words[a:b].strip() for a, b in zip([0, *ends], ends, strict=False)]
+        names = [name for name in names if len(name) > len(".mtl")]
         is_single_name = _is_readable_file(resolve_companion(folder, words)) or len(names) < 2
         files.update(dict.fromkeys([words] if is_single_name else names))
     return list(files)

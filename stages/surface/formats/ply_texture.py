@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scanloom.stages.diagnostics.collector import emit
+from scanloom.stages.files.documents import parse_short_integer
 from scanloom.stages.surface.codes import MESH_TEXTURE_DAMAGED
 from scanloom.stages.surface.formats.ply_format import ListColumn, PlyHeader, PlyTable
 from scanloom.stages.surface.formats.texture_files import read_texture, write_images
@@ -130,7 +131,7 @@ def _read_materials(header: PlyHeader, images: list[tuple[str, Image | None]]) -
 
 def _parse_material(text: str, images: list[tuple[str, Image | None]]) -> Material:
     try:
-        return _convert_material(json.loads(text), images)
+        return _convert_material(json.loads(text, parse_int=parse_short_integer), images)
     except (ValueError, TypeError, AttributeError, OverflowError, RecursionError):
         return Material()
 

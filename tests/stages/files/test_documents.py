@@ -146,3 +146,21 @@ def test_names_of_lists_written_on_windows(tmp_path):
     assert documents.require_inside("rgb\\1.png", tmp_path, "line 1") == "rgb/1.png"
     with pytest.raises(InputError, match="is not a path inside the folder"):
         documents.require_inside("..\\1.png", tmp_path, "line 1")
+
+
+@pytest.mark.parametrize("name", ["a.json", "a.yaml"])
+def test_integers_beyond_64_bits_are_floats(tmp_path: Path, name: str) -> None:
+    """Their conversion to float64 raised OverflowError in many readers, such as that of shutter_turn."""
+    path = tmp_path / name
+    for digits in ("9" * 19, "1" + "0" * 30, "9" * 399, "-" + "9" * 399):
+        path.write_text(f'{{"a": [{digits}, 7]}}')
+        number, seven = read_document(path)["a"]
+        assert type(number) is float
+        assert number == float(digits)
+        assert type(seven) is int
+
+
+def test_assignments_are_lines_with_a_name() -> None:
+    text = "  a_1 = 2 = 3 \nb: 4\n= 5\na b = 6\n\nc=\na_1=7\n"
+    assert documents.parse_assignments(text) == {"a_1": "7", "c": ""}
+    assert documents.parse_assignments(text, ":=") == {"a_1": "7", "b": "4", "c": ""}

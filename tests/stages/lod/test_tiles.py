@@ -664,3 +664,10 @@ def test_buffers_that_cannot_be_packed_are_errors() -> None:
         with pytest.raises(ValueError, match="triangles must be m × 3"):
             call(np.zeros((1, 2), np.int32), 3)
     assert _kernels.optimize_strip_order(np.zeros((0, 3), np.int32), 0).shape == (0, 3)
+
+
+@pytest.mark.parametrize("size", [1e300, 1.7e308, float("inf")])
+def test_a_step_for_any_size_is_a_number(size: float) -> None:
+    from scanloom.stages.lod.position_grid import _choose_step
+
+    assert _choose_step(size, 1) >= size

@@ -331,3 +331,18 @@ def test_losses_of_shape_only_formats():
         list_unsupported_data(".off", rest.with_(corner_normals=normals))
         == "colours and parts and corner normals"
     )
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "# made of OFF\nOFF\n3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n",
+        "# OFF\n# 1 2\nOFF 3 1 0\n0 0 0\n1 0 0\n0 1 0\n3 0 1 2\n",
+        "COFF\n3 1 0\n0 0 0 255 0 0\n1 0 0 255 0 0\n0 1 0 255 0 0\n3 0 1 2\n",
+    ],
+)
+def test_comments_of_an_off_file_may_hold_its_keyword(tmp_path, text):
+    (tmp_path / "a.off").write_text(text)
+    mesh = read_mesh(tmp_path / "a.off")
+    assert mesh.triangles.tolist() == [[0, 1, 2]]
+    assert bool(mesh.diagnostics) == text.startswith("COFF")

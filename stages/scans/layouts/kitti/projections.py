@@ -77,7 +77,9 @@ def resolve_rectified_size(calib: Path, size: tuple[int, int]) -> tuple[int, int
         If the stated size differs otherwise. The images are then unrectified, or from a day with another
         calibration, whose sizes differ only slightly.
     """
-    stated = re.findall(r"^S_rect_0\d:\s*(\S+)\s+(\S+)\s*$", documents.read_text(calib), re.MULTILINE)
+    values = documents.parse_assignments(documents.read_text(calib), ":")
+    words = [text.split() for name, text in values.items() if name.startswith("S_rect_0")]
+    stated = [pair for pair in words if len(pair) == 2]
     try:
         sizes = [(round(float(width)), round(float(height))) for width, height in stated]
     except (ValueError, OverflowError) as error:

@@ -16,6 +16,7 @@ import numpy as np
 from scanloom.stages.diagnostics.diagnostic import Diagnostic
 from scanloom.stages.diagnostics.errors import InputError
 from scanloom.stages.files import documents
+from scanloom.stages.files.path_safety import resolve_path
 from scanloom.stages.scans.codes import CAMERA_PAIR_UNCALIBRATED, SCAN_TABLE_DAMAGED
 from scanloom.stages.scans.image_folders.image_files import (
     find_common_size,
@@ -179,7 +180,7 @@ def _read_poses(
     lacking = describe_missing_poses(
         "poses.txt (or ../../poses/{name}.txt) is missing",
         remedy="name a trajectory with scan.poses=FILE",
-        name=folder.resolve().name,
+        name=resolve_path(folder).name,
     )
     return poses, None, (lacking,)
 
@@ -213,7 +214,7 @@ def _find_pose_file(folder: Path) -> Path | None:
 
     Candidates are poses.txt of the sequence and poses/NN.txt of the data set.
     """
-    number = folder.resolve().name
+    number = resolve_path(folder).name
     return find_first_existing(
         folder,
         "poses.txt",

@@ -14,13 +14,13 @@ import numpy as np
 from scanloom.stages.diagnostics.collector import emit
 from scanloom.stages.diagnostics.errors import InputError
 from scanloom.stages.files import documents
+from scanloom.stages.files.path_safety import resolve_path
 from scanloom.stages.scans.codes import SCAN_ALIGNMENT_MISSING, SCAN_ASSUMED
 from scanloom.stages.scans.model.poses import check_rigid_pose
 from scanloom.stages.scans.model.scan import Pose, Scan
 from scanloom.stages.scans.model.world import Z_UP, WorldUp, create_layout_up
 
 _SCENE_NAME = re.compile(r"scene\d{4}_\d\d")
-_ALIGNMENT_LINE = re.compile(r"^\s*axisAlignment\s*=\s*(.+?)\s*$", re.MULTILINE)
 
 
 def apply_axis_alignment(scan: Scan, folder: Path) -> Scan:
@@ -67,7 +67,7 @@ def find_scannet_up(source: Path, layout: str) -> WorldUp | None:
     layout : name of the layout.
     """
     scan_folder = source.parent if source.is_file() else source
-    is_own = any(_SCENE_NAME.search(name) for name in (source.name, scan_folder.resolve().name)) or any(
+    is_own = any(_SCENE_NAME.search(name) for name in (source.name, resolve_path(scan_folder).name)) or any(
         scan_folder.glob("scene*.txt")
     )
     return create_layout_up(layout, Z_UP) if is_own else None
@@ -76,11 +76,11 @@ def find_scannet_up(source: Path, layout: str) -> WorldUp | None:
 def _read_alignment(folder: Path) -> tuple[Path, Pose]:
     scan_folder = folder.parent if folder.is_file() else folder
     for path in sorted(scan_folder.glob("scene*.txt")):
-        found = _ALIGNMENT_LINE.search(documents.read_text(path))
-        if found is None:
+        found = documents.parse_assignments(documents.read_text(path)).get("axisAlignment")
+        if not found:
             continue
         try:
-            values = [float(word) for word in found[1].split()]
+            values = [float(word) for word in found.split()]
         except ValueError:
             values = []
         if len(values) != 16:

@@ -10,6 +10,7 @@ from pathlib import Path
 
 from scanloom.stages.diagnostics.collector import collecting, emit
 from scanloom.stages.files import documents
+from scanloom.stages.files.path_safety import resolve_path
 from scanloom.stages.scans.calibration import camera_files as calibration
 from scanloom.stages.scans.calibration.camera_resolution import find_or_guess_camera
 from scanloom.stages.scans.codes import CAMERA_CALIBRATION_ASSUMED
@@ -60,7 +61,7 @@ def find_tum_camera(
         )
         return scale_camera(Camera(640, 480, *matrix, distortion), width, height), None
     emit(*diagnostics)
-    if path is None and _SIMILAR_NAME.search(folder.resolve().name):
+    if path is None and _SIMILAR_NAME.search(resolve_path(folder).name):
         emit(
             CAMERA_CALIBRATION_ASSUMED.warning(
                 "the folder is named like a recording of TUM RGB-D, but its files do not confirm it: the "
@@ -83,7 +84,7 @@ def identify_camera(folder: Path) -> tuple[str | None, str]:
     called freiburg1.
     """
     recorded = _read_recording_name(folder)
-    named = _DATA_SET_NAME.match(folder.resolve().name if recorded is None else recorded)
+    named = _DATA_SET_NAME.match(resolve_path(folder).name if recorded is None else recorded)
     source = "the folder name" if recorded is None else "the recording name in the file lists"
     return (None if named is None else f"freiburg{named[1]}"), source
 

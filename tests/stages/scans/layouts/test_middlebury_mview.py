@@ -118,3 +118,11 @@ def test_temple_ring(shared_data):
         seen = frame.world_from_camera[:3, :3].T @ (middle - frame.world_from_camera[:3, 3])
         assert 0.55 < seen[2] < 0.59
         assert np.hypot(*seen[:2]) < 0.03
+
+
+@pytest.mark.parametrize("name", ["a\0b.png", "a" * 300 + ".png", "/etc/hosts", ".."])
+def test_names_that_no_file_can_have_are_refused(tmp_path, name):
+    row = f"{name} 100 0 16 0 100 12 0 0 1 1 0 0 0 1 0 0 0 1 0 0 0\n"
+    (tmp_path / "x_par.txt").write_text(f"1\n{row}", encoding="utf-8")
+    with pytest.raises(InputError, match="is not"):
+        read_scan(tmp_path, complete=False)
