@@ -4,6 +4,7 @@ import base64
 import csv
 import hashlib
 import os
+import shutil
 import subprocess
 import sys
 import zipfile
@@ -11,6 +12,7 @@ from pathlib import Path
 
 import pytest
 from clashing_project import CODE, write_clashing_project
+from small_scans import write_small_scan
 
 pytestmark = pytest.mark.slow
 
@@ -98,3 +100,38 @@ def test_the_installed_wheel_works_next_to_modules_of_the_same_names(wheel: Path
         [sys.executable, *script], cwd=folder, env=environment, capture_output=True, text=True, check=False
     )
     assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.thorough
+def test_the_wheel_is_installed_into_an_empty_environment_without_rust(wheel: Path, tmp_path: Path) -> None:
+    """Install as a user does, with all dependencies from the index, and read a scan."""
+    subprocess.run([sys.executable, "-m", "venv", str(tmp_path / "venv")], check=True)
+    scripts = tmp_path / "venv" / ("Scripts" if os.name == "nt" else "bin")
+    # Neither compilers nor this checkout can be found.
+    environment = {
+        name: value for name, value in os.environ.items() if not name.startswith(("PYTHON", "CARGO"))
+    }
+    environment["PATH"] = os.pathsep.join([str(scripts), os.defpath])
+    assert shutil.which("cargo", path=environment["PATH"]) is None
+    words = ["--disable-pip-version-check", "--quiet", "--only-binary", ":all:", "--no-compile", str(wheel)]
+    subprocess.run(
+        [scripts / "python", "-m", "pip", "install", *words], env=environment, check=True, timeout=1800
+    )
+
+    def run(*arguments: object) -> str:
+        done = subprocess.run(
+            [scripts / "scanloom", *map(str, arguments)],
+            cwd=tmp_path,
+            env=environment,
+            capture_output=True,
+            text=True,
+            timeout=900,
+            check=False,
+        )
+        assert done.returncode == 0, done.stderr
+        return done.stdout
+
+    assert run("--version").startswith(f"scanloom {wheel.name.split('-')[1]}\n")
+    assert "plain-rgbd" in run("inspect", ROOT / "samples" / "rgbd")
+    run("run", write_small_scan(tmp_path / "scan"), "-o", tmp_path / "out")
+    assert (tmp_path / "out" / "textured.glb").stat().st_size > 1000

@@ -38,12 +38,15 @@ Exit code 1, and no mesh. An object that moves in front of a static camera is re
 could not be estimated, or no such object was found. Features of the object must match from one step to the
 next: turn it by at most 20° per step, give it texture, or put a sheet with dots or print below it. Such marks
 match after any rotation. The object must be rigid, and must turn together with its support.
-`register.subject=object` requests an object, `scene` the whole scene.
+`register.subject=object` requests an object, `scene` the whole scene. A hand that holds the object often
+hides too much of it. A mesh of one side needs no poses: use a single frame (`scan.first` and `scan.last` with
+the same number).
 """,
     (
         "scans/mug: an object moves in front of a static camera, but its poses cannot be estimated (no "
         "motion of a rigid object fits the frames). Turn the object in smaller steps, on printed paper, or "
-        "use register.subject=scene to register the whole scene."
+        "use register.subject=scene to register the whole scene. A mesh of one side needs no poses: "
+        "scan.first=103 with scan.last=103 uses a single frame."
     ),
 )
 REGISTER_FRAMES_UNUSABLE = Code(

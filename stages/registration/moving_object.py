@@ -143,21 +143,30 @@ def mask_to_object(
         return found
     masks = segment_moving_object(found)
     if float(np.median([mask.mean() for mask in masks.values()])) < _MIN_MASK_RATIO:
-        raise create_object_error("no motion of a rigid object fits the frames", where)
+        raise create_object_error(
+            "no motion of a rigid object fits the frames", where, sorted(found)[len(found) // 2]
+        )
     return {n: _intersect_mask(frame, masks[n]) if n in masks else frame for n, frame in found.items()}
 
 
-def create_object_error(reason: str, where: Path | None) -> StageError:
-    """Create the error for an object whose poses cannot be estimated."""
+def create_object_error(reason: str, where: Path | None, frame_index: int) -> StageError:
+    """Create the error for an object whose poses cannot be estimated.
+
+    Parameters
+    ----------
+    frame_index : frame for the advice to make a mesh of a single view.
+    """
     return StageError(
         REGISTER_TURNING_OBJECT,
         "an object moves in front of a static camera, but its poses cannot be estimated ({why}).",
         where,
         remedy=(
             "Turn the object in smaller steps, on printed paper, or use register.subject=scene to register "
-            "the whole scene."
+            "the whole scene. A mesh of one side needs no poses: scan.first={frame} with scan.last={frame} "
+            "uses a single frame."
         ),
         why=reason,
+        frame=frame_index,
     )
 
 

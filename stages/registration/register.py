@@ -137,7 +137,7 @@ def _register_subject(
     try:
         found = _register_frames(thing.masked_frames, thing.initial_poses, {}, params, where, progress)
     except InputError as error:
-        raise create_object_error(error.diagnostic.message, where) from error
+        raise create_object_error(error.diagnostic.message, where, len(frames) // 2) from error
     return replace(
         found,
         frames=tuple(
