@@ -21,7 +21,8 @@ def test_phrases_to_avoid_are_rare():
         advice = find_phrase(text.text)
         if advice:
             flagged.setdefault(text.kind, []).append(f"{text.file}:{text.line}: {text.text[:80]} ({advice})")
-    assert set(total) == {"docstrings", "comments", "Rust comments", "lines of documentation"}
+    of_tests = {"docstrings of tests", "comments of tests"}
+    assert set(total) == {"docstrings", "comments", "Rust comments", "lines of documentation"} | of_tests
     over = {kind: found for kind, found in flagged.items() if len(found) > MAX_FLAGGED * total[kind]}
     assert not over, "\n".join(line for found in over.values() for line in found)
 

@@ -40,9 +40,9 @@ def compute_normals(mesh: Mesh) -> NDArray[np.float64]:
 
 
 def assert_valid_normal_mesh(found: NormalMesh, mesh: Mesh, within: float = 1e-6) -> None:
-    """Check each level:
+    """Check each level.
 
-    vertices are on the surface, no triangle is flipped or flat, topology is unchanged.
+    Vertices are on the surface, no triangle is flipped or flat, topology is unchanged.
     """
     surface = RaycastingSurface(mesh)
     facing = compute_normals(mesh)

@@ -1,6 +1,6 @@
-"""A run on a scan with inaccurate poses and colour camera:
+"""A run on a scan with inaccurate poses and colour camera.
 
-corrections are computed once, cached, written and used.
+Corrections are computed once, cached, written and used.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
-"""A run over bricks:
+"""A run over bricks.
 
-bricks are cached one by one, new frames rebuild only their bricks, large results are chunked.
+Bricks are cached one by one, new frames rebuild only their bricks, large results are chunked.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
-"""Quality presets:
+"""Quality presets.
 
-their parameters, precedence of explicit parameters, and unchanged keys of unaffected stages.
+Their parameters, precedence of explicit parameters, and unchanged keys of unaffected stages.
 """
 
 import pytest

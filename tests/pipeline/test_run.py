@@ -116,7 +116,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def stereo(tmp_path: Path) -> Path:
-    """Write four stereo pairs of a textured wall:
+    """Write four stereo pairs of a textured wall.
 
     16 px of disparity, f = 140 px, b = 0.1 m, so 0.875 m away.
     """

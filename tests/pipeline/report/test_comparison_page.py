@@ -52,9 +52,9 @@ def fail_on_call(text: str) -> None:
 
 @pytest.fixture(scope="module")
 def pages(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
-    """Make two spheres that change:
+    """Make two spheres that change.
 
-    one grows, one disappears, a new one appears; and a cloud of the first two.
+    One grows, one disappears, a new one appears; and a cloud of the first two.
     """
     folder = tmp_path_factory.mktemp("pages")
     before = join_parts(make_ball((0, 0, 0), 1), make_ball((1.75, 0, 0), 0.3), color=(200, 120, 40))

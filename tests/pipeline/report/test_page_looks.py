@@ -124,14 +124,8 @@ REFINE = {"filled_holes": 3, "filled_area_m2": 0.03, "largest_fillings": [FILLIN
 
 
 def _write_refine_metrics(out: Path, metrics: Any) -> None:
-    refine = {
-        "metrics": metrics,
-        "cached": True,
-        "compute_seconds": 1,
-        "peak_memory_mb": 1,
-        "reason": "",
-        "seconds": 0,
-    }
+    refine = {"metrics": metrics, "cached": True, "compute_seconds": 1, "peak_memory_mb": 1, "reason": "",
+              "seconds": 0}  # fmt: skip
     (out / "report.json").write_text(json.dumps({"stages": {"refine": refine}}))
 
 
@@ -168,16 +162,9 @@ def test_nothing_is_marked_if_no_hole_was_filled(out: Path) -> None:
 
 @pytest.mark.parametrize(
     "metrics",
-    [
-        7,
-        [],
-        {"largest_fillings": 7},
-        {"largest_fillings": [7]},
-        {**REFINE, "largest_fillings": [{}]},
-        {**REFINE, "filled_area_m2": "x"},
-        {**REFINE, "largest_fillings": [{**FILLING, "point_m": [1]}]},
-    ],
-)
+    [7, [], {"largest_fillings": 7}, {"largest_fillings": [7]}, {**REFINE, "largest_fillings": [{}]},
+     {**REFINE, "filled_area_m2": "x"}, {**REFINE, "largest_fillings": [{**FILLING, "point_m": [1]}]}],
+)  # fmt: skip
 def test_damaged_fillings_are_an_input_error(out: Path, metrics: Any) -> None:
     _write_refine_metrics(out, metrics)
     with pytest.raises(InputError, match=r"report\.json"):
@@ -241,29 +228,17 @@ def test_a_mesh_without_deviations_is_an_input_error(out: Path) -> None:
 
 def test_frames_are_marked_by_their_status(out: Path) -> None:
     lens = Camera(80, 60, 70, 70, 39.5, 29.5)
-    frames = [
-        Frame(f"f{k}", lens, color=np.zeros((60, 80, 3), np.uint8), world_from_camera=np.eye(4))
-        for k in range(4)
-    ]
+    frames = [Frame(f"f{k}", lens, color=np.zeros((60, 80, 3), np.uint8), world_from_camera=np.eye(4))
+              for k in range(4)]  # fmt: skip
     write_photos(out / "pictures", frames[:3], 4, frames[3:])
     skipped = [{"frame": "f1", "reason": "its depth is damaged"}]
     report = {
         "scan": {"frames": 3, "frames_skipped": [{"frame": "lost", "reason": "no pose"}]},
         "held_out": {"photos": 1},
-        "stages": {
-            "fuse": {
-                "metrics": {"frames_skipped": skipped},
-                "cached": True,
-                "compute_seconds": 1,
-                "peak_memory_mb": 1,
-                "reason": "",
-                "seconds": 0,
-            }
-        },
-        "placed": {"fuse": {"fused.ply": "c0ffee"}},
-        "scanloom": "9.9",
-        "libraries": {"numpy": "2"},
-    }
+        "stages": {"fuse": {"metrics": {"frames_skipped": skipped}, "cached": True, "compute_seconds": 1,
+                            "peak_memory_mb": 1, "reason": "", "seconds": 0}},
+        "placed": {"fuse": {"fused.ply": "c0ffee"}}, "scanloom": "9.9", "libraries": {"numpy": "2"},
+    }  # fmt: skip
     (out / "report.json").write_text(json.dumps(report))
     content = read_page_content(make_run_page(out, 5_000_000))
     marks = {one["frame"]: one["mark"] for one in content["cameras"]}

@@ -1,6 +1,6 @@
-"""The solver on a synthetic problem:
+"""The solver on a synthetic problem.
 
-derivatives equal finite differences, and disturbed parameters are recovered.
+Derivatives equal finite differences, and disturbed parameters are recovered.
 """
 
 from dataclasses import replace

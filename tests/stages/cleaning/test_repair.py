@@ -1,6 +1,6 @@
-"""Repairs:
+"""Repairs.
 
-each planted defect is found and repaired or reported, other data is bit-identical, the bound holds.
+Each planted defect is found and repaired or reported, other data is bit-identical, the bound holds.
 """
 
 from __future__ import annotations

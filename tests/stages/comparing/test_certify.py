@@ -159,9 +159,9 @@ def find_closest_by_embree(points, target: Mesh):
 
 
 def sample_attack_points(mesh: Mesh, other: Mesh, count: int, rng) -> ClosestPoints:
-    """Sample points of `mesh`:
+    """Sample points of `mesh`.
 
-    interior, edges, corners, and projections of the other mesh's vertices and edges.
+    Interior, edges, corners, and projections of the other mesh's vertices and edges.
     """
     m, k = len(mesh.triangles), len(other.triangles)
     share = compute_areas(mesh.vertices, mesh.triangles)

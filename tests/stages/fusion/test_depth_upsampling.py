@@ -1,6 +1,6 @@
-"""Depth upsampling guided by a photo:
+"""Depth upsampling guided by a photo.
 
-exact on planes, sharp at discontinuities, without intermediate depth.
+Exact on planes, sharp at discontinuities, without intermediate depth.
 """
 
 from __future__ import annotations

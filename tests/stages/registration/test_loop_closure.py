@@ -1,6 +1,6 @@
-"""Loop closures are kept if true:
+"""Loop closures are kept if true.
 
-a camera rotates between walls with equal posters and returns to its start.
+A camera rotates between walls with equal posters and returns to its start.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
-"""Turntable views:
+"""Turntable views.
 
-the up direction is kept, the whole mesh is visible, and videos contain the drawn images.
+The up direction is kept, the whole mesh is visible, and videos contain the drawn images.
 """
 
 import cv2

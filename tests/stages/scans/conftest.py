@@ -1,9 +1,9 @@
-"""A tiny world with one known point, written by hand in each layout's own convention.
+"""A tiny world with one known point, written in the convention of each layout.
 
-The camera is 32×24 pixels with fx = fy = 100, cx = 16, cy = 12. Pixel (26, 17) looks along (0.1, 0.05, 1); at
-a depth of 2 m it shows the camera point (0.2, 0.1, 2). Frame 0 stands at the origin. Frame 1 stands at
-(1, 2, 3) and looks along world +x: its axes are x = -z, y = y, z = +x, so the same pixel shows the world
-point (1 + 2, 2 + 0.1, 3 - 0.2) = (3, 2.1, 2.8).
+The camera is 32×24 pixels with fx = fy = 100, cx = 16, cy = 12. Pixel (26, 17) has the direction (0.1, 0.05,
+1), so at a depth of 2 m it shows the camera point (0.2, 0.1, 2). Frame 0 is at the origin. Frame 1 is at (1,
+2, 3) and faces world +x: its axes are x = -z, y = y, z = +x, so the same pixel shows the world point (1 + 2,
+2 + 0.1, 3 - 0.2) = (3, 2.1, 2.8).
 """
 
 from pathlib import Path
@@ -23,14 +23,14 @@ WORLD_POINTS = ((0.2, 0.1, 2.0), (3.0, 2.1, 2.8))
 
 
 class TinyWorld:
-    """Writes the images of the tiny world and reads its known points back."""
+    """Writer of images of the tiny world, and reader of its known points."""
 
     intrinsics = INTRINSICS
     option = "100,100,16,12"
     points = WORLD_POINTS
     identity = np.eye(4)
     second = np.array([[0, 0, 1, 1], [0, 1, 0, 2], [-1, 0, 0, 3], [0, 0, 0, 1.0]])
-    # The rotation of the second frame as a quaternion x y z w: 90 degrees about +y.
+    # Rotation of the second frame as a quaternion x y z w: 90° about +y.
     second_quaternion = (0.0, 0.5**0.5, 0.0, 0.5**0.5)
 
     def color(self, path: Path, size: tuple[int, int] = (32, 24)) -> None:
@@ -47,7 +47,7 @@ class TinyWorld:
         assert cv2.imwrite(str(path), image)
 
     def dotted(self, factor: int) -> np.ndarray:
-        """Grey RGB image, `factor` times as large, with a greenish dot where the known pixel looks."""
+        """Make a grey RGB image, `factor` times as large, with a green dot at the known pixel."""
         image = np.full((24 * factor, 32 * factor, 3), 90, np.uint8)
         u, v = PIXEL
         image[v * factor : (v + 1) * factor, u * factor : (u + 1) * factor] = (10, 240, 120)
@@ -58,7 +58,7 @@ class TinyWorld:
         assert cv2.imwrite(str(path), np.ascontiguousarray(self.dotted(factor)[:, :, ::-1]))
 
     def scaled_intrinsics(self, factor: int) -> dict[str, float]:
-        """The camera of an image `factor` times as large; pixel centres are at whole numbers."""
+        """Make the camera of an image `factor` times as large; pixel centres are at integers."""
         fx, fy, cx, cy = INTRINSICS
         return {
             "fx": fx * factor,
@@ -68,20 +68,20 @@ class TinyWorld:
         }
 
     def opengl(self, pose: np.ndarray) -> np.ndarray:
-        """The same camera-to-world pose for a camera with y up and z back."""
+        """Convert a camera-to-world pose to a camera with y up and z back."""
         turned = pose.copy()
         turned[:3, 1:3] *= -1
         return turned
 
     def green_is_at_the_pixel(self, frame) -> bool:
-        """Whether the colour that goes with the known pixel is the dot's, and that of others is not."""
+        """Check if the colour of the dot is aligned with exactly the known pixel."""
         u, v = PIXEL
         color = read_color_aligned_to_depth(frame, read_depth(frame)).astype(int)
         green = color[:, :, 1] - color[:, :, 0]
         return green[v, u] > 200 and np.count_nonzero(green > 100) == 1
 
     def seen(self, frame) -> np.ndarray:
-        """World point at the known pixel, from the frame's own depth, camera and pose."""
+        """Compute the world point at the known pixel from depth, camera and pose of a frame."""
         u, v = PIXEL
         camera = frame.camera
         z = float(read_depth(frame)[v, u])
@@ -89,7 +89,7 @@ class TinyWorld:
         return (frame.world_from_camera @ point)[:3]
 
     def assert_views(self, scan) -> None:
-        """Check that these are single views which see the known points at the known pixel."""
+        """Check that these are single views with the known points at the known pixel."""
         assert scan.is_views
         for frame, point in zip(scan.frames, WORLD_POINTS, strict=True):
             at = self.pixel(point, np.linalg.inv(frame.world_from_camera), frame.camera)
@@ -98,7 +98,7 @@ class TinyWorld:
             assert read_pinhole(frame).shape == (frame.camera.height, frame.camera.width, 3)
 
     def pixel(self, point, camera_from_world: np.ndarray, camera) -> np.ndarray:
-        """Where a camera sees a world point, without distortion."""
+        """Project a world point to a camera without distortion."""
         x, y, z = (camera_from_world @ (*point, 1.0))[:3]
         return np.array([camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy])
 
@@ -119,7 +119,7 @@ def matrix_text():
 
 @pytest.fixture
 def trajectory(tmp_path, tiny):
-    """Names a file with the two poses, at the moments of the recordings."""
+    """Write a trajectory with the two poses at the times of the recordings."""
     file = tmp_path / "mine.tum"
     lines = [
         (START, 0, 0, 0, 0, 0, 0, 1),

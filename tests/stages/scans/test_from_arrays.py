@@ -25,7 +25,7 @@ def make(**changes: Any) -> Frame:
     return Frame.from_arrays(**{**given, **changes})
 
 
-def test_a_frame_holds_what_was_given() -> None:
+def test_a_frame_keeps_the_given_arrays() -> None:
     frame = make(timestamp=5, name="a")
     assert (frame.camera.fx, frame.camera.cx, frame.camera.width) == (20.0, 7.5, 16)
     np.testing.assert_array_equal(read_color(frame), COLOR)
@@ -58,13 +58,13 @@ def test_a_pose_of_nan_is_lost() -> None:
         (DEPTH[:, :, None], None),
     ],
 )
-def test_depth_is_metres_whatever_its_units(depth: Any, scale: float | None) -> None:
+def test_depth_is_converted_to_metres(depth: Any, scale: float | None) -> None:
     np.testing.assert_array_equal(make(depth=depth, depth_scale=scale).depth, DEPTH)
 
 
 @pytest.mark.slow
 @given(st.lists(st.floats(width=32), min_size=192, max_size=192))
-def test_whatever_depth_holds_comes_out_finite(values: list[float]) -> None:
+def test_non_finite_depth_becomes_missing(values: list[float]) -> None:
     array = np.array(values, np.float32).reshape(SIZE)
     depth = make(depth=array, depth_scale=1).depth
     assert isinstance(depth, np.ndarray)
@@ -106,7 +106,7 @@ def test_whatever_depth_holds_comes_out_finite(values: list[float]) -> None:
         ({"mask": np.zeros(SIZE)}, "a mask must be (h, w) uint8 or bool"),
     ],
 )
-def test_what_cannot_be_right_is_refused(changes: dict[str, Any], message: str) -> None:
+def test_invalid_arguments_are_refused(changes: dict[str, Any], message: str) -> None:
     with pytest.raises(InputError) as told:
         make(name="7", **changes)
     assert str(told.value).startswith("frame 7: ")

@@ -1,4 +1,4 @@
-"""Masks in a folder that the person names, for any layout."""
+"""Masks in a folder given by the user, for any layout."""
 
 import cv2
 import numpy as np
@@ -46,7 +46,7 @@ def test_masks_are_found_by_name_or_number(scan_folder, names):
         depth = read_depth(frame)
         assert (depth[8, column], depth[8, 11 - column] > 0) == (0, True)
     assert find_unused_files(scan) == ()
-    # Nobody takes them without being told to, and inspect says how.
+    # Masks are only used on request, and inspect names the option.
     assert read_scan(scan_folder).frames[0].mask is None
 
 
@@ -58,7 +58,7 @@ def test_nearly_black_of_jpeg_is_black(scan_folder):
     assert (depth[8, 4], depth[8, 28] > 0) == (0, True)
 
 
-def test_a_frame_without_one_is_told(scan_folder):
+def test_a_frame_without_a_mask_is_reported(scan_folder):
     put(scan_folder, "2.png", 5)
     scan = read_scan(scan_folder, ScanParams(masks="masks"))
     assert "1 frames have no mask in masks/: frame-000010" in map(str, scan.diagnostics)
@@ -81,7 +81,7 @@ def test_a_frame_without_one_is_told(scan_folder):
         ),
     ],
 )
-def test_what_cannot_be_is_told(scan_folder, names, place, message):
+def test_invalid_masks_are_reported(scan_folder, names, place, message):
     for name in names:
         put(scan_folder, name, 5)
     with pytest.raises(InputError, match=message):

@@ -1,4 +1,4 @@
-"""Each layout is read from a real excerpt, where the shared data has one."""
+"""Each layout is read from a real excerpt if the shared data has one."""
 
 from __future__ import annotations
 
@@ -36,9 +36,9 @@ EXCERPTS = [
     ("pair", "real/stereo_pair_k_txt", 1, 754.668, 0.063),
     ("plain-stereo", "stereo/opencv_chessboard_rig", 13, None, None),
 ]
-# Single images of these in the data are read in their own tests.
+# Tests of these layouts read single images of the data.
 OF_IMAGES = {"nyu", "sun-rgbd"}
-# Neither the data nor its excerpts have any: made folders alone are read.
+# The data has no excerpts of these layouts, so only synthetic folders are read.
 MADE = {
     "arkitscenes",
     "augmented-icl",
@@ -66,7 +66,7 @@ def test_each_layout_is_read_from_something_real_or_listed_as_made():
 
 @pytest.mark.parametrize(("layout", "folder", "count", "focal", "baseline"), EXCERPTS)
 def test_a_real_excerpt(shared_data, layout, folder, count, focal, baseline):
-    # Of KITTI's pairs one is chosen.
+    # One of KITTI's pairs is chosen.
     chosen = ScanParams(first=0, last=0) if layout == "kitti-stereo" else ScanParams()
     scan = read_scan(shared_data / folder, chosen, complete=False)
     assert (scan.layout, len(scan.frames), scan.skipped_frames) == (layout, count, ())
@@ -83,14 +83,14 @@ def test_a_real_excerpt(shared_data, layout, folder, count, focal, baseline):
 
 
 def test_points_of_a_real_model_are_where_its_images_show_them(shared_data: Path) -> None:
-    # The reconstruction's points within the depth that the reader states for each view: in it and before it.
+    # Points of the reconstruction that are inside the image and the depth range of each view.
     scan = read_scan(shared_data / "real" / "colmap_views_meeting_room", complete=False)
     assert not scan.is_metric
     places = np.array([frame.world_from_camera[:3, 3] for frame in scan.frames])
     for frame in scan.frames:
         near, far = frame.depth_range
         assert 0 < near < far < 100 * near
-        # A camera that was taken world-to-camera for camera-to-world would not look where the others do.
+        # A camera with inverted convention would not face the same direction as the others.
         ahead = frame.world_from_camera[:3, 3] + frame.world_from_camera[:3, 2] * (near + far) / 2
         assert np.linalg.norm(ahead - places.mean(0)) < 2 * far
 
@@ -104,7 +104,7 @@ def test_the_true_disparities_of_a_real_street_fit_its_pair(shared_data: Path) -
         cv2.cvtColor(read_color(one), cv2.COLOR_RGB2GRAY).astype(float)
         for one in (frame, type(frame)(frame.name, frame.camera, color=frame.right))
     )
-    # Where the image says something across: a road says nothing.
+    # Only where the image has horizontal texture, unlike a road.
     v, u = np.nonzero((truth > 0) & (np.abs(np.gradient(left, axis=1)) > 20))
     disparity = truth[v, u]
 
@@ -114,6 +114,6 @@ def test_the_true_disparities_of_a_real_street_fit_its_pair(shared_data: Path) -
         return float(np.median(np.abs(left[v, u][seen] - right[v[seen], at[seen]])))
 
     assert off(0) < 0.6 * min(off(-6), off(6))
-    # A road some metres away, a street some tens.
+    # A road is a few metres away, a street some tens.
     depth = scan.rig.left.fx * scan.rig.baseline / disparity
     assert 3 < np.percentile(depth, 2) < np.median(depth) < 30

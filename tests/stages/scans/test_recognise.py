@@ -114,7 +114,7 @@ def test_a_file_instead_of_a_folder(tmp_path):
         read_scan(tmp_path / "scan.ply")
 
 
-def test_an_unknown_folder_says_what_it_holds_and_what_is_known(tmp_path):
+def test_an_unknown_folder_is_reported_with_content_and_known_layouts(tmp_path):
     touch(tmp_path, "holiday.jpg", "notes.txt")
     with pytest.raises(InputError) as caught:
         read_scan(tmp_path)
@@ -134,7 +134,7 @@ def test_a_folder_above_a_scan_points_to_it(tmp_path):
         read_scan(tmp_path)
 
 
-def test_a_list_of_frames_that_are_elsewhere_points_to_the_scan_beside(tmp_path, tiny):
+def test_a_list_of_frames_in_another_folder_is_reported_with_that_scan(tmp_path, tiny):
     frames = [{"file_path": "images/0.png", "transform_matrix": np.eye(4).tolist()}]
     model = {"fl_x": 40, "fl_y": 40, "cx": 16, "cy": 12, "w": 32, "h": 24, "frames": frames}
     (tmp_path / "transforms.json").write_text(json.dumps(model))

@@ -1,4 +1,4 @@
-"""Which frames of a scan are used: at most so many, spread evenly, where neighbours need not overlap."""
+"""Selection of frames: limited in number, evenly spread, if neighbours need not overlap."""
 
 from dataclasses import replace
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""What a person states and a folder has no use for is refused in a sentence, not ignored in silence."""
+"""Parameters that do not apply to a folder are refused instead of ignored."""
 
 import numpy as np
 import pytest
@@ -60,10 +60,10 @@ def test_an_order_of_no_poses(scan_folder):
         read_scan(scan_folder, ScanParams(poses_by_order=True), complete=False)
 
 
-def test_what_is_used_is_not_refused(scan_folder, tiny):
+def test_used_parameters_are_not_refused(scan_folder, tiny):
     (scan_folder / "mine.txt").write_text("0 0 0 0 0 0 1\n" * 2)
     stated = ScanParams(calibration="camera-intrinsics.txt", poses="mine.txt", poses_by_order=True)
-    # Poses that are all the same are none, but the file was read.
+    # Equal poses count as missing, but the file was read.
     scan = read_scan(scan_folder, stated, complete=False)
     assert "all 2 frames have the same pose" in str(scan.missing[0])
     np.testing.assert_allclose(scan.frames[0].camera.fx, tiny.intrinsics[0])

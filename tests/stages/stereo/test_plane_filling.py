@@ -36,7 +36,7 @@ def make_photo(*edges: tuple[slice, slice]) -> np.ndarray:
 
 
 def add_noise_and_holes(depth: np.ndarray, *open_: tuple[slice, slice]) -> tuple[DepthImage, np.ndarray]:
-    """Add noise, and remove depth inside patches up to a margin of three pixels; also return confidence."""
+    """Add noise, and remove depth inside patches except for a margin; return confidence as well."""
     noise = 1 + 2e-3 * np.random.default_rng(2).standard_normal(depth.shape)
     found = (depth * noise).astype(np.float32)
     for rows, columns in open_:

@@ -1,6 +1,6 @@
-"""Pages with a size limit:
+"""Pages with a size limit.
 
-additional models are simplified before the main model, together with their colormaps.
+Additional models are simplified before the main model, together with their colormaps.
 """
 
 from __future__ import annotations

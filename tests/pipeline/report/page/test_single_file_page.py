@@ -1,6 +1,6 @@
-"""A page of models in one file:
+"""A page of models in one file.
 
-it works from a local disk without requests, shows the models upright, and measures.
+It works from a local disk without requests, shows the models upright, and measures.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
-"""The page of tiles in a browser:
+"""The page of tiles in a browser.
 
-no holes from far, from near and in mixed levels, and no external requests.
+No holes from far, from near and in mixed levels, and no external requests.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""An Azure Kinect's own calibration: the same rays for every mode of its cameras."""
+"""Factory calibration of an Azure Kinect: the same rays for every camera mode."""
 
 import json
 import math
@@ -12,7 +12,7 @@ from scanloom.stages.scans.calibration.azure_kinect import read_color_from_depth
 from scanloom.stages.scans.calibration.camera_files import read_camera
 from scanloom.stages.scans.reader import read_scan
 
-# Shares of the sensor's sides, and a lens of its own for each camera.
+# Values relative to the sensor size, with a separate lens for each camera.
 DEPTH = [0.51, 0.515, 0.49, 0.491, 0.5, -0.02, -0.003, 0.9, 0.09, -0.01, 0, 0, -7e-5, 2e-5]
 COLOR = [0.499, 0.504, 0.478, 0.6375, 0.35, -2.4, 1.4, 0.23, -2.2, 1.3, 0, 0, -1.3e-4, 4e-4]
 TILT = math.radians(5.5)
@@ -39,15 +39,15 @@ def path(tmp_path):
 
 
 def on_sensor(path, width, height, corner, side):
-    """Where a ray meets the sensor, as shares of its sides: from where it is seen in images of a size."""
+    """Project a fixed ray to relative sensor coordinates by the calibration for an image size."""
     found = read_camera(path, width, height)
     ray = np.array([[[0.11, -0.07, 1.0]]])
     seen = cv2.projectPoints(ray, np.zeros(3), np.zeros(3), found.matrix, np.array(found.distortion))[0]
-    # Pixels' middles are whole numbers; the sensor's begin at 0.
+    # Pixel centres are integers in images; sensor coordinates start at 0.
     return (seen.ravel() + 0.5 + corner) / side
 
 
-def test_a_ray_meets_the_sensor_in_one_place_in_every_mode(path):
+def test_a_ray_has_the_same_sensor_position_in_every_mode(path):
     wide = on_sensor(path, 1024, 1024, (0, 0), (1024, 1024))
     for size, corner, side in (
         ((512, 512), (0, 0), (512, 512)),
@@ -60,11 +60,11 @@ def test_a_ray_meets_the_sensor_in_one_place_in_every_mode(path):
         cut = (0, width * 3 / 8 - width * 9 / 32)
         found = on_sensor(path, width, width * 9 // 16, cut, (width, width * 3 / 4))
         np.testing.assert_allclose(found, tall, atol=1e-9)
-    # Across and down they differ: each camera has its own numbers.
+    # Width and height differ, and each camera has separate values.
     assert np.abs(tall - wide).min() > 1e-3
 
 
-def test_the_sensor_s_shares_and_the_lens_are_its_own(path):
+def test_relative_values_and_lenses_differ_per_camera(path):
     depth = read_camera(path, 640, 576)
     assert (depth.cx, depth.cy) == pytest.approx((0.51 * 1024 - 192.5, 0.515 * 1024 - 180.5))
     assert (depth.fx, depth.fy) == pytest.approx((0.49 * 1024, 0.491 * 1024))
@@ -107,7 +107,7 @@ def test_depth_brought_to_colour_has_colour_s_camera_and_place(path):
         (document({"Location": "CALIBRATION_CameraLocationD0"}), (640, 576), "has 0 ModelParameters"),
     ],
 )
-def test_what_cannot_be_right_is_one_sentence(path, content, size, message):
+def test_invalid_calibrations_are_one_sentence(path, content, size, message):
     path.write_text(json.dumps(content))
     with pytest.raises(InputError, match=message):
         read_camera(path, *size)

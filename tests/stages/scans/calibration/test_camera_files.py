@@ -12,7 +12,7 @@ from scanloom.stages.scans.calibration.rig_calibration import read_rig
 
 K = [[100, 0, 16], [0, 110, 12], [0, 0, 1]]
 BENT = [0.1, -0.2, 0.003, 0.004, 0.05]
-# The right camera stands 0.5 m right of the left, turned by 10 degrees about y.
+# The right camera is 0.5 m right of the left one, rotated by 10° about y.
 C, S = np.cos(np.radians(10)), np.sin(np.radians(10))
 R = [[C, 0, S], [0, 1, 0], [-S, 0, C]]
 T = [-0.5, 0.01, 0.02]
@@ -29,7 +29,7 @@ def table(camera):
     return "\n".join(f"{key} = {json.dumps(value)}" for key, value in camera.items())
 
 
-# The rectified x axis runs from the left camera to the right one; the others are any that complete it.
+# The rectified x axis points from the left camera to the right one; the other axes are arbitrary.
 TO_RIGHT = -np.array(T) / np.linalg.norm(T)
 ASIDE = np.cross(TO_RIGHT, (0, 1, 0)) / np.linalg.norm(np.cross(TO_RIGHT, (0, 1, 0)))
 RIGHT_TURN = np.array([TO_RIGHT, np.cross(ASIDE, TO_RIGHT), ASIDE])
@@ -37,7 +37,7 @@ LEFT_TURN = RIGHT_TURN @ R
 
 
 def camera_info(turn, shift, keys=("K", "D", "R", "P"), **more):
-    """A side of a rig as ROS states it; the rectified focal length is another one, 90 pixels."""
+    """Make a side of a rig in ROS's form; the rectified focal length is different, 90 pixels."""
     projection = [90, 0, 15, 90 * shift, 0, 90, 11, 0, 0, 0, 1, 0]
     numbers = (np.ravel(K).tolist(), BENT, np.ravel(turn).tolist(), projection)
     return (
@@ -175,7 +175,7 @@ GOOD = {"fx": 100, "fy": 110, "cx": 16, "cy": 12, "baseline": 0.5}
         ({"cam0": {}, "cam1": {}}, "intrinsics must be 4 numbers"),
     ],
 )
-def test_numbers_that_cannot_be_right_are_told(tmp_path, change, message):
+def test_invalid_numbers_are_reported(tmp_path, change, message):
     path = tmp_path / "a.json"
     path.write_text(json.dumps(GOOD | change))
     with pytest.raises(InputError, match=message):
@@ -183,14 +183,14 @@ def test_numbers_that_cannot_be_right_are_told(tmp_path, change, message):
 
 
 @pytest.mark.parametrize("matrix", [[], [100], 3, [[[100]]], {"rows": 1, "cols": 2, "data": [100, 16]}])
-def test_a_matrix_of_another_shape_is_told(tmp_path, matrix):
+def test_a_matrix_of_another_shape_is_reported(tmp_path, matrix):
     path = tmp_path / "intrinsic.json"
     path.write_text(json.dumps({"width": 32, "height": 24, "intrinsic_matrix": matrix}))
     with pytest.raises(InputError, match=r"intrinsic\.json: a camera matrix must be 3x3"):
         read_camera(path, 32, 24)
 
 
-def test_what_is_missing_is_named(tmp_path):
+def test_missing_entries_are_reported(tmp_path):
     path = tmp_path / "a.json"
     path.write_text(json.dumps({"fx": 100, "fy": 110, "baseline": 0.5}))
     with pytest.raises(InputError, match="cx, cy"):
@@ -265,7 +265,7 @@ def test_opencv_sample_intrinsics(shared_data):
         (opencv_xml({"K1": K, "K2": K, "T": T}).replace(" 110 ", " nan "), "not finite"),
     ],
 )
-def test_damaged_xml_is_told(tmp_path, text, message):
+def test_damaged_xml_is_reported(tmp_path, text, message):
     (tmp_path / "rig.xml").write_text(text)
     with pytest.raises(InputError, match=message):
         read_rig(tmp_path / "rig.xml", 32, 24)
@@ -282,7 +282,7 @@ def test_damaged_xml_is_told(tmp_path, text, message):
         ({"width": 64}, "64×24"),
     ],
 )
-def test_damaged_camera_infos_are_told(tmp_path, change, message):
+def test_damaged_camera_infos_are_reported(tmp_path, change, message):
     sides = {"left": camera_info(np.eye(3), 0), "right": camera_info(np.eye(3), -0.5, **change)}
     (tmp_path / "rig.json").write_text(json.dumps(sides))
     with pytest.raises(InputError, match=message):
@@ -304,7 +304,7 @@ def test_settings_of_orb_slam(tmp_path):
     file.write_text(ORB_SLAM + "Camera.width: 64\nCamera.height: 24\n")
     with pytest.raises(InputError, match="it is for images of 64×24"):
         read_camera(file, 32, 24)
-    # What ROS sends is in metres, as floating point.
+    # ROS sends metres as floating point.
     file.write_text(ORB_SLAM + "DepthMapFactor: 1.0\n")
     assert read_depth_scale(file) is None
 
@@ -342,7 +342,7 @@ def test_kalibr_with_one_camera_and_with_several(tmp_path):
 
 
 def realsense(**changes):
-    """A stream as RealSense's library describes it."""
+    """Describe a stream like librealsense."""
     return {
         "width": 32,
         "height": 24,
@@ -364,7 +364,7 @@ def test_a_stream_of_realsense(tmp_path):
     file.write_text(json.dumps(realsense(model="kannala_brandt4", coeffs=[0.1, 0.2, 0.3, 0.4, 0])))
     camera = read_camera(file, 32, 24)
     assert (camera.fisheye, camera.distortion) == (True, (0.1, 0.2, 0.3, 0.4))
-    # The library's number of a model; what is not bent is of none.
+    # The library's number of a distortion model; without distortion it is 0.
     file.write_text(json.dumps(realsense(model=2)))
     assert read_camera(file, 32, 24).distortion == tuple(BENT)
     file.write_text(json.dumps(realsense(model="ftheta", coeffs=[0.0] * 5)))
@@ -403,7 +403,7 @@ def test_other_names_of_the_lens(tmp_path, said, bent):
     assert (camera.fx, camera.fy, camera.distortion) == (100, 110, tuple(bent))
 
 
-def test_a_lens_under_an_unknown_name_is_told(tmp_path):
+def test_a_lens_under_an_unknown_name_is_reported(tmp_path):
     file = tmp_path / "camera.json"
     file.write_text(json.dumps({"K": K, "lens_distortion": BENT}))
     with collecting() as told:
@@ -444,7 +444,7 @@ def test_other_names_of_a_pair(tmp_path, matrices, lenses):
 @pytest.mark.parametrize(
     ("name", "model"), [("stereo_fisheye", None), ("stereo", "fisheye"), ("stereo", None)]
 )
-def test_a_rig_of_fisheyes_says_so_or_is_named_so(tmp_path, name, model):
+def test_a_fisheye_rig_is_marked_or_named(tmp_path, name, model):
     file = tmp_path / f"{name}.json"
     said = {"K1": K, "K2": K, "D1": BENT[:4], "D2": BENT[:4], "R": R, "T": T}
     file.write_text(json.dumps(said | ({} if model is None else {"distortion_model": model})))
@@ -463,7 +463,7 @@ def test_in_bop_a_depth_scale_is_in_millimetres(tmp_path, said, units):
     assert read_depth_scale(file) == pytest.approx(units)
 
 
-def test_of_the_cameras_of_a_device_one_is_taken(tmp_path):
+def test_one_camera_of_a_device_is_chosen(tmp_path):
     file = tmp_path / "cameras.json"
     file.write_text(json.dumps({"camera": CAMERA}))
     assert read_camera(file, 32, 24).fy == 110
@@ -475,7 +475,7 @@ def test_of_the_cameras_of_a_device_one_is_taken(tmp_path):
     assert [str(one) for one in told] == [
         f"{file}: the file has several cameras (raw_depth, color); color is used"
     ]
-    # Depth as it is measured, beside larger images of colour.
+    # Native depth together with larger colour images.
     file.write_text(json.dumps({"raw_depth": depth, "color": realsense(width=64, height=48)}))
     with collecting() as told:
         assert read_camera(file, 32, 24).fx == 90
@@ -498,7 +498,7 @@ def test_real_settings_and_camchains(shared_data):
     codes = ["camera.calibration-assumed", "camera.calibration-contradictory"]
     assert [one.code for one in found] == codes
     assert rig.left.fx == pytest.approx(1927.268, abs=1e-3)
-    # By RIGHT.P; its Camera.bf says half of that.
+    # Baseline of RIGHT.P; Camera.bf is half of that.
     assert rig.baseline == pytest.approx(1181.878 / 1966.836, rel=1e-3)
 
 
@@ -510,7 +510,7 @@ def test_real_settings_and_camchains(shared_data):
         ("Camera2.fx: 1\nTlr: [1, 2, 3]", "the extrinsics of the cameras must be 4x4|the file has no camera"),
     ],
 )
-def test_damaged_settings_are_told(tmp_path, line, message):
+def test_damaged_settings_are_reported(tmp_path, line, message):
     file = tmp_path / "settings.yaml"
     file.write_text(f"{ORB_SLAM}{line}\n")
     with pytest.raises(InputError, match=message):

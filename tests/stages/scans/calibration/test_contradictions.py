@@ -1,4 +1,4 @@
-"""Numbers of one calibration that contradict each other are told, with the one that is taken."""
+"""Contradicting numbers of a calibration are reported together with the number that is used."""
 
 import json
 
@@ -70,12 +70,12 @@ def test_a_rig(tmp_path, table, said):
         OPENCV,
         OPENCV | {"P2": P2},
         OPENCV | {"P1": np.eye(3, 4).tolist(), "P2": np.eye(3, 4).tolist()},
-        # One length in two units.
+        # The same length in two units.
         OPENCV | {"T": [-500, 0, 0], "unit": "mm", "baseline": 0.5},
         chain(-0.5),
     ],
 )
-def test_what_agrees_is_not_told(tmp_path, table):
+def test_consistent_numbers_give_no_report(tmp_path, table):
     assert told(read_rig, tmp_path, table) == []
 
 

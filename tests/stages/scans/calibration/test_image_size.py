@@ -1,4 +1,4 @@
-"""Calibrations for another size of the images: scaled where the shape agrees, and told; refused else."""
+"""Calibrations for another image size are scaled if the aspect ratio agrees, otherwise refused."""
 
 import json
 
@@ -13,7 +13,7 @@ from scanloom.stages.scans.calibration.rig_calibration import read_rig
 from scanloom.stages.scans.params import ScanParams
 from scanloom.stages.scans.reader import read_scan
 
-# For images twice as large as the tiny world's: pixel centres are at whole numbers.
+# For images of double the size; pixel centres are at integers.
 LARGE = [[200, 0, 32.5], [0, 200, 24.5], [0, 0, 1]]
 SMALL = [[100, 0, 16], [0, 100, 12], [0, 0, 1]]
 SIZES = {
@@ -35,7 +35,7 @@ SIZES = {
 
 
 @pytest.mark.parametrize("name", SIZES)
-def test_a_camera_for_larger_images_is_scaled_and_that_is_told(tmp_path, name):
+def test_a_camera_for_larger_images_is_scaled_and_reported(tmp_path, name):
     (tmp_path / name).write_text(json.dumps(SIZES[name]))
     with collecting() as told:
         camera = read_camera(tmp_path / name, 32, 24)
@@ -93,7 +93,7 @@ def test_cropped_and_turned_images_are_refused(tmp_path, width, height):
         read_camera(tmp_path / "a.json", width, height)
 
 
-def test_rows_first_is_understood_where_the_centre_says_so(tmp_path):
+def test_swapped_image_sides_are_recognised_by_the_principal_point(tmp_path):
     table = {"K": [[616.7, 0, 324.8], [0, 616.9, 238.0], [0, 0, 1]], "resolution": [480, 640]}
     (tmp_path / "a.json").write_text(json.dumps(table))
     camera = read_camera(tmp_path / "a.json", 640, 480)
@@ -104,7 +104,7 @@ def test_rows_first_is_understood_where_the_centre_says_so(tmp_path):
         read_camera(tmp_path / "a.json", 640, 480)
 
 
-def test_a_centre_that_is_of_another_size_is_told(tmp_path):
+def test_a_principal_point_for_another_size_is_reported(tmp_path):
     (tmp_path / "K.txt").write_text("200 0 32.5 0 200 24.5 0 0 1")
     with collecting() as told:
         read_camera(tmp_path / "K.txt", 32, 24)
@@ -146,7 +146,7 @@ def test_a_file_for_this_size_is_preferred(scan_folder):
     ]
 
 
-def test_what_the_person_names_is_scaled_too(scan_folder, tiny, tmp_path_factory):
+def test_a_camera_file_given_by_the_user_is_scaled(scan_folder, tiny, tmp_path_factory):
     named = tmp_path_factory.mktemp("beside") / "mine.json"
     named.write_text(json.dumps(SIZES["plain.json"]))
     scan = read_scan(scan_folder, ScanParams(calibration=str(named)))
@@ -172,7 +172,7 @@ def halved(source, target):
     assert cv2.imwrite(str(target), cv2.resize(image, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA))
 
 
-def test_a_real_pair_made_smaller_beside_its_calibration(shared_data, tmp_path):
+def test_a_reduced_real_pair_with_its_calibration(shared_data, tmp_path):
     real = shared_data / "stereo" / "middlebury2014_motorcycle"
     for name in ("im0.png", "im1.png"):
         halved(real / name, tmp_path / name)
@@ -180,13 +180,13 @@ def test_a_real_pair_made_smaller_beside_its_calibration(shared_data, tmp_path):
     large, small = (read_scan(place, complete=False).rig for place in (real, tmp_path))
     assert small.baseline == large.baseline
     assert small.left.fx == pytest.approx(large.left.fx / 2, rel=2e-3)
-    # The disparity offset is pixels, and so is the range that is stated.
+    # The disparity offset is in pixels, and so is the given range.
     offsets = [rig.right.cx - rig.left.cx for rig in (large, small)]
     assert offsets[1] == pytest.approx(offsets[0] / 2, rel=2e-3)
     assert small.disparity_count == large.disparity_count // 2
 
 
-def test_a_real_street_made_smaller_beside_its_calibration(shared_data, tmp_path):
+def test_a_reduced_real_street_with_its_calibration(shared_data, tmp_path):
     real = shared_data / "real" / "kitti_stereo_2015"
     for name in ("image_2/000002_10.png", "image_3/000002_10.png"):
         halved(real / name, tmp_path / name)

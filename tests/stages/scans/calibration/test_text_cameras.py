@@ -1,4 +1,4 @@
-"""Cameras as text of names and numbers, as what calibrators print, and as NumPy's arrays."""
+"""Cameras from text with names and numbers, from the output of calibrators, and from NumPy arrays."""
 
 import numpy as np
 import pytest
@@ -75,7 +75,7 @@ def test_a_text_may_state_a_baseline_and_a_unit_of_depth(tmp_path):
     assert read_depth_scale(tmp_path / "depth.txt") == 5000
 
 
-def test_what_the_tool_of_realsense_prints(tmp_path):
+def test_output_of_the_realsense_tool(tmp_path):
     file = tmp_path / "rs-enumerate-devices.txt"
     file.write_text(RS_ENUMERATE)
     with collecting() as heard:
@@ -100,13 +100,13 @@ def test_a_printed_fisheye_stays_one(tmp_path):
 @pytest.mark.parametrize(
     "text", ["fx: much\nfy: 3\n", "[rgb]\nfx=1\n[ir]\nfy=2\n", "some words\n", "[image]\nwidth\nten\n"]
 )
-def test_a_text_without_a_camera_is_told(tmp_path, text):
+def test_a_text_without_a_camera_is_reported(tmp_path, text):
     (tmp_path / "camera.txt").write_text(text)
     with pytest.raises(InputError, match="a camera matrix of 3 rows of 3 numbers is expected"):
         read_camera(tmp_path / "camera.txt", 64, 48)
 
 
-def test_what_the_calibrator_of_ros_prints_is_what_it_writes_as_yaml(shared_data):
+def test_printed_output_of_the_ros_calibrator_equals_its_yaml(shared_data):
     files = shared_data / "real" / "calibrations"
     sides = {side: read_document(files / f"ros_{side}.yaml") for side in ("left", "right")}
     with collecting() as found:
@@ -143,7 +143,7 @@ def test_a_matrix_as_an_array(tmp_path, matrix):
 @pytest.mark.parametrize(
     "array", [np.zeros(5), np.array(["a"] * 9), np.zeros((3, 3), complex), np.zeros((30, 30))]
 )
-def test_an_array_that_is_no_matrix_is_told(tmp_path, array):
+def test_an_array_that_is_not_a_matrix_is_reported(tmp_path, array):
     np.save(tmp_path / "K.npy", array)
     with pytest.raises(InputError, match="a camera matrix of 3 rows of 3 numbers is expected"):
         read_camera(tmp_path / "K.npy", 32, 24)

@@ -1,4 +1,4 @@
-"""The factory calibration of a ZED, as its maker hands it out."""
+"""Factory calibration of a ZED from its manufacturer's file."""
 
 import cv2
 import numpy as np
@@ -74,7 +74,7 @@ def test_the_rig_of_a_size_of_images(conf):
     assert rig.right_from_left[0, 3] == pytest.approx(-0.11987)
 
 
-def test_each_size_has_its_own_and_a_smaller_one_that_of_its_shape(conf):
+def test_the_calibration_is_chosen_by_image_size_or_aspect_ratio(conf):
     assert read_rig(conf, 2208, 1242).left.fx == 1400.2
     with collecting() as told:
         smaller = read_rig(conf, 640, 360).left
@@ -99,14 +99,14 @@ def test_each_size_has_its_own_and_a_smaller_one_that_of_its_shape(conf):
         ("fx=700.5", "fx=-700.5", "must be positive"),
     ],
 )
-def test_what_is_missing_or_wrong_is_told(conf, old, new, said):
+def test_missing_or_wrong_entries_are_reported(conf, old, new, said):
     conf.write_text(CONF.replace(old, new))
     with pytest.raises(InputError, match=said):
         read_rig(conf, 1280, 720)
 
 
 @pytest.mark.parametrize("text", ["[LEFT_CAM_HD]\nfx\x00", "[LEFT_CAM_HD\nfx=3", "fx=3\n[LEFT_CAM_HD]"])
-def test_a_damaged_file_is_told(conf, text):
+def test_a_damaged_file_is_reported(conf, text):
     conf.write_text(text)
     with pytest.raises(InputError):
         read_rig(conf, 1280, 720)

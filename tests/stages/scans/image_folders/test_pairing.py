@@ -21,7 +21,7 @@ def paired(left, right):
         (["1", "2", "10"], ["1", "2", "10"]),
         (["left01", "left02"], ["right01", "right02"]),
         (["cam0_0001", "cam0_0002"], ["cam1_0001", "cam1_0002"]),
-        # The first two are of one moment by chance alone; the frame number is what agrees throughout.
+        # The first two only agree in time by chance; the frame number agrees for all.
         (["0001-000000", "0002-033369", "0003-066704"], ["0001-000000", "0002-041667", "0003-075001"]),
         (["a", "b"], ["a", "b"]),
         (["dawn", "noon"], ["early", "late"]),
@@ -31,7 +31,7 @@ def test_names_of_one_moment_are_paired(left, right):
     assert paired(left, right) == (list(zip(left, right, strict=True)), [])
 
 
-def test_what_has_no_partner_is_left_out_on_either_side():
+def test_images_without_partner_are_skipped_on_both_sides():
     assert paired(["1", "2", "3"], ["2", "3", "4"]) == ([("2", "2"), ("3", "3")], ["1", "4"])
 
 
@@ -46,8 +46,8 @@ def test_images_are_ordered_by_number(tmp_path):
     assert [path.name for path in list_images(tmp_path)] == ["1.JPG", "2.png", "10.png"]
 
 
-def test_a_number_that_agrees_by_chance_pairs_nothing():
-    # Two clocks: of twenty names one ends alike.
+def test_numbers_that_agree_by_chance_give_no_pairs():
+    # Two clocks: one of twenty names has the same ending.
     left = [f"{100 + i}-{7000 + i}" for i in range(20)]
     right = [f"{300 + i}-{9000 + i}" for i in range(18)] + ["318-7004"]
     with pytest.raises(InputError, match="left/ has 20 images and right/ has 19"):

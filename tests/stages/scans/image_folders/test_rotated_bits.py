@@ -15,7 +15,7 @@ def rotated(depth):
 
 
 def room(nearest, farthest, seed=1):
-    """A slope with a step and some noise, and pixels without depth."""
+    """Make a slope with a step, noise, and pixels without depth."""
     slope = np.tile(np.linspace(nearest, farthest, 160), (120, 1))
     slope[30:60, 40:90] -= (farthest - nearest) / 4
     depth = np.clip(slope + np.random.default_rng(seed).normal(0, 2, slope.shape), 1, 65535).astype(np.uint16)
@@ -25,11 +25,11 @@ def room(nearest, farthest, seed=1):
 
 @pytest.mark.parametrize(("nearest", "farthest"), [(500, 4000), (3000, 9000), (6000, 30000)])
 @pytest.mark.parametrize("stated", [False, True])
-def test_rotated_and_plain_values_are_told_apart(nearest, farthest, stated):
+def test_rotated_and_plain_values_are_distinguished(nearest, farthest, stated):
     depth = room(nearest, farthest)
     np.testing.assert_array_equal(decode_rotated(rotated(depth)), depth)
     assert not is_rotated(depth, is_scale_stated=stated)
-    # Without values that start again, multiples of eight may be what the person means by a scale.
+    # Without wrapped values, multiples of eight may be intended as a scale.
     assert is_rotated(rotated(depth), is_scale_stated=stated) == (farthest > 8192 or not stated)
 
 
@@ -39,7 +39,7 @@ def test_values_that_are_rounded_are_not_rotated():
 
 
 def write_scan(folder, nearest, farthest):
-    """Write three frames with rotated depth; return the last one's values before."""
+    """Write three frames with rotated depth; return the original values of the last one."""
     for place in ("color", "depth"):
         (folder / place).mkdir()
     for number in range(3):
@@ -49,7 +49,7 @@ def write_scan(folder, nearest, farthest):
     return depth
 
 
-def test_a_scan_is_turned_back_and_told(tmp_path):
+def test_rotated_bits_of_a_scan_are_restored_and_reported(tmp_path):
     depth = write_scan(tmp_path, 900, 12000)
     scan = read_scan(tmp_path, complete=False)
     np.testing.assert_allclose(read_depth(scan.frames[2]), depth / 1000, atol=1e-6)
@@ -60,7 +60,7 @@ def test_a_scan_is_turned_back_and_told(tmp_path):
 
 @pytest.mark.parametrize(("stated", "is_turned"), [(10000, True), (8000, False), (1000, False)])
 def test_tenths_of_millimetres_are_of_values_turned_back(tmp_path, stated, is_turned):
-    """Nearer than 8192 units multiples of eight may be meant, but hardly steps of 0.8 mm."""
+    """Below 8192 units, multiples of eight may be intended, but steps of 0.8 mm hardly."""
     depth = write_scan(tmp_path, 2500, 7000)
     scan = read_scan(tmp_path, ScanParams(depth_scale=stated), complete=False)
     values = depth if is_turned else rotated(depth)
@@ -70,7 +70,7 @@ def test_tenths_of_millimetres_are_of_values_turned_back(tmp_path, stated, is_tu
     assert all(text.endswith("with 10000 units per metre") for text in told)
 
 
-def test_our_own_form_is_taken_at_its_word(tmp_path):
+def test_depth_of_scan_json_is_never_rotated(tmp_path):
     depth = write_scan(tmp_path, 2500, 7000)
     camera = {"width": 160, "height": 120, "fx": 150, "fy": 150, "cx": 80, "cy": 60}
     frames = [

@@ -1,4 +1,4 @@
-"""Pairs that are one image: which images are, and what is read of them."""
+"""Side-by-side stereo images: detection and reading."""
 
 import json
 
@@ -15,7 +15,7 @@ CAMERA = {"fx": 150, "fy": 150, "cx": 80, "cy": 45, "baseline": 0.12}
 
 
 def scene(seed):
-    """Return an image that is wider than one of a pair by how far things move between them."""
+    """Make an image wider than one of a pair by the disparity."""
     coarse = np.random.default_rng(seed).integers(0, 255, (12, 22, 3), np.uint8)
     return cv2.resize(coarse, (WIDTH + SHIFT, HEIGHT), interpolation=cv2.INTER_CUBIC)
 
@@ -56,7 +56,7 @@ def test_panoramas_are_no_pairs(scan_folder):
 
 
 def test_real_pairs_are_and_real_photos_are_not(shared_data, tmp_path):
-    """A street's photos are as wide as two others', and alike on both sides."""
+    """Photos of a street are as wide as two images, and similar in both halves."""
     street = shared_data / "real" / "kitti_stereo_2015"
     assert not is_side_by_side(sorted((street / "image_2").iterdir()))
     rig = shared_data / "stereo" / "euroc_V1_01_easy_static" / "mav0"

@@ -9,13 +9,13 @@ from scanloom.stages.scans.model.images import read_depth
 from scanloom.stages.scans.params import ScanParams
 from scanloom.stages.scans.reader import read_scan
 
-# Depth's own names, and those of the other files: off by a millisecond either way.
+# Names of depth files, and names of the other files with a difference of a millisecond.
 DEPTHS = ("41069021_9.500", "41069021_10.250")
 OTHERS = ("41069021_9.501", "41069021_10.249")
 TRAJECTORY = (
     "0.5 0 0 0 9 9 9\n"
     "9.504 0 0 0 0 0 0\n"
-    # camera_from_world of the second frame: -90 degrees about y, and (3, -2, -1).
+    # camera_from_world of the second frame: -90° about y, and (3, -2, -1).
     f"10.247 0 {-np.pi / 2} 0 3 -2 -1\n"
 )
 
@@ -34,7 +34,7 @@ def scan_folder(tmp_path, tiny):
 def test_known_points_come_out_in_the_world(scan_folder, tiny):
     scan = read_scan(scan_folder)
     assert scan.layout == "arkitscenes"
-    # In the order of time, which is not that of the names as text.
+    # Ordered by time, which differs from alphabetical order.
     assert [frame.name for frame in scan.frames] == list(DEPTHS)
     assert [frame.timestamp for frame in scan.frames] == [9_500_000_000, 10_250_000_000]
     for frame, point in zip(scan.frames, tiny.points, strict=True):
@@ -88,7 +88,7 @@ def test_a_missing_file_costs_its_frame_only(scan_folder, file, reason):
     assert [(one.name, one.reason) for one in scan.skipped_frames] == [(DEPTHS[0], reason)]
 
 
-def test_stated_intrinsics_stand_in(scan_folder, tiny):
+def test_given_intrinsics_replace_missing_ones(scan_folder, tiny):
     for path in (scan_folder / "lowres_wide_intrinsics").iterdir():
         path.unlink()
     frames = read_scan(scan_folder, ScanParams(intrinsics=tiny.option)).frames
@@ -132,7 +132,7 @@ def test_without_any_pincam_the_camera_is_guessed(scan_folder):
     assert any("is guessed" in text and "scan.intrinsics" in text for text in map(str, scan.diagnostics))
 
 
-def test_poses_of_another_clock_are_taken_in_order(scan_folder, tiny):
+def test_poses_of_another_clock_are_assigned_in_order(scan_folder, tiny):
     turned = " ".join(map(str, tiny.second_quaternion))
     (scan_folder / "mine.tum").write_text(f"500.0 0 0 0 0 0 0 1\n500.5 1 2 3 {turned}\n")
     named = ScanParams(poses="mine.tum")

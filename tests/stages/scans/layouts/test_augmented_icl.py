@@ -31,12 +31,12 @@ def test_known_points_come_out_in_the_world(tmp_path, tiny, matrix_text, names):
         np.testing.assert_allclose(tiny.seen(frame), point, atol=1e-6)
 
 
-def test_the_camera_is_the_data_sets_own(tmp_path, tiny, matrix_text):
+def test_the_camera_is_the_known_one_of_the_data_set(tmp_path, tiny, matrix_text):
     camera = read_scan(written(tmp_path, tiny, matrix_text, APART)).frames[0].camera
     np.testing.assert_allclose((camera.fx, camera.fy, camera.cx, camera.cy), (26.25, 26.25, 15.5, 11.5))
 
 
-def test_clean_depth_goes_before_simulated(tmp_path, tiny, matrix_text):
+def test_clean_depth_has_priority_over_simulated_depth(tmp_path, tiny, matrix_text):
     written(tmp_path, tiny, matrix_text, APART)
     tiny.depth(tmp_path / "livingroom1-depth-simulated" / "00000.png", 1000)
     assert read_scan(tmp_path).frames[0].depth.parent.name == "livingroom1-depth-clean"

@@ -8,12 +8,12 @@ from scanloom.stages.scans.model.poses import invert_pose
 from scanloom.stages.scans.params import ScanParams
 from scanloom.stages.scans.reader import read_scan
 
-# Tenths of a millimetre.
+# Units of 0.1 mm.
 UNITS = 10_000
 
 
 def entry(world_from_camera=None, **more):
-    """What the file has for one image; poses are world-to-camera, millimetres."""
+    """Make the entry of an image; poses are world-to-camera in millimetres."""
     table = {"cam_K": [100, 0, 16, 0, 100, 12, 0, 0, 1], "depth_scale": 1000 / UNITS}
     if world_from_camera is not None:
         pose = invert_pose(world_from_camera)
@@ -32,7 +32,7 @@ def scan_folder(tmp_path, tiny):
         tiny.color(folder / "rgb" / f"{number:06d}.png")
         tiny.depth(folder / "depth" / f"{number:06d}.png", UNITS)
     write(folder, {"3": entry(tiny.identity), "10": entry(tiny.second)})
-    # Where objects are, and what of them is seen, is not asked.
+    # Object poses and visibility are not used.
     (folder / "scene_gt.json").write_text("{}")
     tiny.color(folder / "mask_visib" / "000003_000000.png")
     return folder
@@ -88,7 +88,7 @@ def test_views_without_depth_are_single_views(scan_folder):
     assert scan.frames[1].world_from_camera is not None
 
 
-def test_what_belongs_to_no_image_is_told(scan_folder, tiny):
+def test_entries_without_image_are_reported(scan_folder, tiny):
     write(scan_folder, {"3": entry(tiny.identity), "10": entry(tiny.second), "11": entry(tiny.second)})
     told = "scene_camera.json has entries for 1 images that do not exist; they are ignored"
     assert [str(one) for one in assert_known_points(scan_folder, tiny).diagnostics] == [told]
@@ -107,7 +107,7 @@ def test_what_belongs_to_no_image_is_told(scan_folder, tiny):
         (entry(cam_R_w2c=[1, 0, 0, 0, 1, 0, 0, 0, 1]), "cam_t_w2c must be a list of 3 numbers"),
     ],
 )
-def test_what_is_wrong_with_one_image_costs_that_image(scan_folder, tiny, table, why):
+def test_an_invalid_entry_only_skips_its_image(scan_folder, tiny, table, why):
     write(scan_folder, {"3": entry(tiny.identity)} | ({} if table is None else {"10": table}))
     scan = read_scan(scan_folder)
     assert [frame.name for frame in scan.frames] == ["000003"]

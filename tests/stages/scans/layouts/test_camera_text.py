@@ -8,7 +8,7 @@ from scanloom.stages.scans.reader import read_scan
 
 
 def rotated(metres: float, scale: float = 10_000.0) -> np.ndarray:
-    """A wall at a slant that is `metres` away at the known pixel, its bits rotated to the left by three."""
+    """Make depth of a slanted wall, `metres` away at the known pixel, with bits rotated left by three."""
     slant = np.arange(-26, 6)[None, :] * 200 + np.arange(-17, 7)[:, None] * 41
     depth = round(metres * scale) + slant
     depth = np.repeat(np.repeat(depth, 4, 0), 4, 1).astype(np.uint16)
@@ -21,7 +21,7 @@ def block(heading, matrix, matrix_text):
 
 @pytest.fixture
 def scan_folder(tmp_path, tiny, matrix_text):
-    # The images are four times as large, so that the maps tell that their bits are rotated.
+    # The images are four times as large, enough to detect the rotated bits.
     camera = [[400, 0, 65.5], [0, 400, 49.5], [0, 0, 1]]
     text = "# Environment: shelf\n# Bin ID: B\n\n"
     text += block("Color camera intrinsic matrix", camera, matrix_text)
@@ -54,12 +54,12 @@ def test_known_points_come_out_in_the_world(scan_folder, tiny):
         ["frame-000000", "frame-000001"],
     )
     np.testing.assert_allclose([seen(frame) for frame in scan.frames], tiny.points, atol=1e-6)
-    # What the file states and nothing uses is told.
+    # Unused statements of the file are reported.
     assert any("Bin-to-world transformation matrix" in text for text in map(str, scan.diagnostics))
 
 
-def test_depth_of_another_size_is_of_its_own_camera(scan_folder, tiny, matrix_text):
-    # Colour's camera stands 0.1 m left of depth's: the poses are colour's.
+def test_depth_of_another_size_has_a_separate_camera(scan_folder, tiny, matrix_text):
+    # The colour camera is 0.1 m left of the depth camera; the poses are of the colour camera.
     beside = np.eye(4)
     beside[0, 3] = 0.1
     text = (scan_folder / "cam.info.txt").read_text()
@@ -122,7 +122,7 @@ def test_a_frame_without_depth_is_left_out(scan_folder):
         ("400 0 65.5", "nan 0 65.5", "not finite"),
     ],
 )
-def test_what_is_damaged_is_told(scan_folder, old, new, message):
+def test_damaged_files_are_reported(scan_folder, old, new, message):
     path = scan_folder / "cam.info.txt"
     assert old in path.read_text()
     path.write_text(path.read_text().replace(old, new, 1))

@@ -30,7 +30,8 @@ distortion_coefficients: [-0.1, 0.01, 0.001, -0.002]
 
 @pytest.fixture
 def scan_folder(tmp_path, tiny):
-    # The body looks along its x (y left, z up); the left camera sits 0.1 m ahead, the right one 0.5 m beside.
+    # The body has x forward, y left, z up; the left camera is 0.1 m ahead, the right camera 0.5 m to the
+    # side.
     for name, x, y in (("cam0", 0.1, 0.0), ("cam1", 0.1, -0.5)):
         folder = tmp_path / "mav0" / name
         for time in (FIRST, SECOND):
@@ -41,7 +42,7 @@ def scan_folder(tmp_path, tiny):
         )
     truth = tmp_path / "mav0" / "state_groundtruth_estimate0"
     truth.mkdir()
-    # At first the body is the world; then it stands at (1, 2, 3), turned 90 degrees about z (w x y z).
+    # The first pose is the identity; the second is at (1, 2, 3), rotated by 90° about z (w x y z).
     half = 0.5**0.5
     (truth / "data.csv").write_text(
         "#timestamp, p_RS_R_x [m], ...\n"
@@ -58,7 +59,6 @@ def test_known_points_fall_on_known_pixels_of_both_images(scan_folder, tiny):
     assert scan.rig.baseline == pytest.approx(0.5)
     assert scan.rig.left.distortion == (-0.1, 0.01, 0.001, -0.002)
     # The camera point (0.2, 0.1, 2) is the body point (2 + 0.1, -0.2, -0.1).
-    # Second: body x is world y, body y is world -x.
     known = ((2.1, -0.2, -0.1), (1 + 0.2, 2 + 2.1, 3 - 0.1))
     for frame, point in zip(scan.frames, known, strict=True):
         camera_from_world = np.linalg.inv(frame.world_from_camera)
@@ -110,7 +110,7 @@ def test_no_second_camera(scan_folder):
         ("T_BS", "T_XX", "T_BS is not a 4x4"),
     ],
 )
-def test_damaged_sensor_files_are_told(scan_folder, old, new, message):
+def test_damaged_sensor_files_are_reported(scan_folder, old, new, message):
     path = scan_folder / "mav0" / "cam0" / "sensor.yaml"
     text = path.read_text()
     assert old in text
@@ -123,10 +123,10 @@ def test_vicon_room_excerpt(shared_data):
     scan = read_scan(shared_data / "stereo" / "euroc_V1_01_easy_static")
     assert (scan.layout, len(scan.frames)) == ("euroc", 10)
     assert scan.rig.baseline == pytest.approx(0.1101, abs=1e-4)
-    # The right camera is on the right, and the two look the same way.
+    # The right camera is on the right, and both face the same direction.
     assert scan.rig.right_from_left[0, 3] == pytest.approx(-0.11, abs=0.001)
     assert np.trace(scan.rig.right_from_left[:3, :3]) > 2.99
-    # The drone sits level in a room with z up: the camera looks sideways, its y axis down.
+    # The drone is level in a room with z up: the camera faces sideways with its y axis down.
     assert scan.frames[0].world_from_camera[2, 1] < -0.9
 
 
@@ -180,7 +180,8 @@ def test_tum_vi_has_fisheye_cameras_and_wide_images(tum_vi, chain):
     assert scan.rig.left.fisheye
     assert not scan.rig.is_rectified
     np.testing.assert_allclose(scan.rig.right_from_left[:3, 3], (-0.5, 0, 0), atol=1e-12)
-    # The same places as with sensor.yaml; a fisheye sees the point 0.2 right and 0.1 down at 2 m closer in.
+    # The same points as with sensor.yaml; a fisheye projects the point 0.2 m right and 0.1 m down at 2 m
+    # farther inside.
     known = ((2.1, -0.2, -0.1), (1 + 0.2, 2 + 2.1, 3 - 0.1))
     for frame, point in zip(scan.frames, known, strict=True):
         camera_from_world = np.linalg.inv(frame.world_from_camera)
@@ -188,7 +189,7 @@ def test_tum_vi_has_fisheye_cameras_and_wide_images(tum_vi, chain):
         assert read_color(frame)[5, 5].tolist() == read_right(frame)[5, 5].tolist() == [0x12] * 3
 
 
-def test_a_narrow_image_among_wide_ones_is_told(tum_vi):
+def test_a_narrow_image_among_wide_ones_is_reported(tum_vi):
     cv2.imwrite(str(tum_vi / "mav0" / "cam0" / "data" / f"{SECOND}.png"), np.zeros((24, 32), np.uint8))
     with pytest.raises(InputError, match=r"16-bit greyscale image is expected"):
         read_color(read_scan(tum_vi).frames[1])
@@ -204,7 +205,7 @@ def test_a_narrow_image_among_wide_ones_is_told(tum_vi):
         ("[32, 24]", "[64, 40]", r"camchain\.yaml.*aspect ratio differs"),
     ],
 )
-def test_a_wrong_chain_is_told(tum_vi, old, new, message):
+def test_a_wrong_chain_is_reported(tum_vi, old, new, message):
     (tum_vi / "dso" / "camchain.yaml").write_text(CHAIN.replace(old, new))
     with pytest.raises(InputError, match=message):
         read_scan(tum_vi)
@@ -230,7 +231,7 @@ T_BS:
 
 
 def write_readings(folder, reading=(-9.7, 0.3, 0.1)):
-    """Readings of a unit whose x looks down on the body, whose z is up."""
+    """Make samples of an IMU whose x axis points down in the body frame, where z is up."""
     (folder / "mav0" / "imu0").mkdir()
     (folder / "mav0" / "imu0" / "sensor.yaml").write_text(IMU)
     values = ",".join(map(str, reading))
@@ -238,11 +239,11 @@ def write_readings(folder, reading=(-9.7, 0.3, 0.1)):
     (folder / "mav0" / "imu0" / "data.csv").write_text("#timestamp [ns],w_RS_S_x,...\n" + "\n".join(rows))
 
 
-def test_an_accelerometer_tells_what_is_up_where_poses_are_not_the_folder_s(scan_folder):
+def test_the_accelerometer_gives_up_for_user_poses(scan_folder):
     write_readings(scan_folder)
     scan = read_scan(scan_folder)
     assert scan.up.source == "layout euroc: z up"
-    # The cameras are level: their y is down.
+    # The cameras are level, so y is down.
     for frame in scan.frames:
         assert frame.up @ (0, -1, 0) > np.cos(np.radians(3))
     for path in (scan_folder / "mav0" / "state_groundtruth_estimate0").iterdir():
@@ -252,7 +253,7 @@ def test_an_accelerometer_tells_what_is_up_where_poses_are_not_the_folder_s(scan
     assert bare.frames[0].up @ (0, -1, 0) > np.cos(np.radians(3))
 
 
-def test_readings_that_are_no_gravity_are_told_and_not_used(scan_folder):
+def test_implausible_gravity_is_reported_and_not_used(scan_folder):
     write_readings(scan_folder, (0.01, 0.02, 0.0))
     scan = read_scan(scan_folder)
     assert any("imu0 reads" in text and "not gravity" in text for text in map(str, scan.diagnostics))
@@ -274,14 +275,14 @@ def test_the_excerpt_without_readings_takes_up_from_its_poses(shared_data):
         np.testing.assert_allclose(frame.world_from_camera[:3, :3] @ frame.up, (0, 0, 1), atol=1e-9)
 
 
-def test_poses_of_another_clock_are_taken_in_order(scan_folder, tiny):
+def test_poses_of_another_clock_are_assigned_in_order(scan_folder, tiny):
     turned = " ".join(map(str, tiny.second_quaternion))
     (scan_folder / "mine.tum").write_text(f"500.0 0 0 0 0 0 0 1\n500.5 1 2 3 {turned}\n")
     named = ScanParams(poses="mine.tum")
     with pytest.raises(InputError, match=r"none of its 2 poses .* as many poses as frames: scan\.poses"):
         read_scan(scan_folder, named)
     scan = read_scan(scan_folder, replace(named, poses_by_order=True))
-    # As EuRoC's trajectories they are of the body: the camera stands 0.1 m ahead of it.
+    # Like EuRoC's trajectories, these are poses of the body; the camera is 0.1 m ahead.
     body_from_camera = np.array([[0, 0, 1, 0.1], [-1, 0, 0, 0], [0, -1, 0, 0], [0, 0, 0, 1]])
     for frame, body in zip(scan.frames, (tiny.identity, tiny.second), strict=True):
         np.testing.assert_allclose(frame.world_from_camera, body @ body_from_camera, atol=1e-9)
@@ -295,13 +296,13 @@ def test_lists_do_not_lead_outside(scan_folder, name):
 
 
 @pytest.mark.parametrize("text", ["", "# nothing\n"])
-def test_an_empty_trajectory_is_told(scan_folder, text):
+def test_an_empty_trajectory_is_reported(scan_folder, text):
     (scan_folder / "mav0" / "state_groundtruth_estimate0" / "data.csv").write_text(text)
     with pytest.raises(InputError, match="the trajectory file holds no poses"):
         read_scan(scan_folder)
 
 
-def test_a_camera_without_its_sensor_file_is_told(scan_folder):
+def test_a_camera_without_its_sensor_file_is_reported(scan_folder):
     (scan_folder / "mav0" / "cam0" / "sensor.yaml").unlink()
     with pytest.raises(InputError, match=r"cam0/sensor\.yaml: the file cannot be read"):
         read_scan(scan_folder)

@@ -52,13 +52,13 @@ def test_known_points_come_out_in_the_world(scan_folder, tiny, form):
         ({"rt_cam": None}, "frame 0: rt_cam"),
     ],
 )
-def test_what_is_damaged_is_told(scan_folder, tiny, changed, message):
+def test_damaged_files_are_reported(scan_folder, tiny, changed, message):
     write(scan_folder, tiny, **changed)
     with pytest.raises(InputError, match=message):
         read_scan(scan_folder)
 
 
-def test_a_frame_without_depth_is_told(scan_folder):
+def test_a_frame_without_depth_is_reported(scan_folder):
     (scan_folder / "frame_00001_depth.png").unlink()
     with pytest.raises(
         InputError, match="frame 1 names no depth map, and the folder has none with this number"
@@ -66,22 +66,22 @@ def test_a_frame_without_depth_is_told(scan_folder):
         read_scan(scan_folder)
 
 
-def test_a_bias_is_added_in_metres_to_what_is_known(scan_folder, tiny):
+def test_a_bias_in_metres_is_added_to_valid_depth(scan_folder, tiny):
     for number in range(2):
         tiny.depth(scan_folder / f"frame_{number:05}_depth.png", 2000, metres=1.9)
     write(scan_folder, tiny, depth_bias=0.1)
     scan = read_scan(scan_folder)
     np.testing.assert_allclose([tiny.seen(frame) for frame in scan.frames], tiny.points, atol=1e-5)
     assert read_depth(scan.frames[0])[0, 0] == 0
-    # The unit that the person states is also the one in which the bias is added.
+    # The bias is added in the unit that the user gives.
     for number in range(2):
         tiny.depth(scan_folder / f"frame_{number:05}_depth.png", 1000, metres=1.9)
     scan = read_scan(scan_folder, ScanParams(depth_scale=1000))
     np.testing.assert_allclose([tiny.seen(frame) for frame in scan.frames], tiny.points, atol=1e-5)
 
 
-def test_what_is_beyond_the_sensor_is_missing_and_told(scan_folder, tiny):
-    # The fixture's maps hold 4000 (2 m) and one pixel of 65535.
+def test_depth_beyond_the_sensor_range_is_missing_and_reported(scan_folder, tiny):
+    # Depth maps of the fixture contain 4000 (2 m) and one pixel of 65535.
     write(scan_folder, tiny, depth_max=4500.0)
     scan = read_scan(scan_folder)
     depth = read_depth(scan.frames[0])
@@ -101,7 +101,7 @@ def test_a_limit_that_takes_most_of_the_depth_is_asked_about(scan_folder, tiny):
 
 
 @pytest.mark.parametrize("damage", [lambda text: text[:-20], lambda text: text.replace("0.0005", "0,0005")])
-def test_a_list_that_does_not_parse_is_told(scan_folder, damage):
+def test_a_list_that_does_not_parse_is_reported(scan_folder, damage):
     path = scan_folder / "frames.json"
     path.write_text(damage(path.read_text()))
     with pytest.raises(InputError, match=r"frames\.json: the file is not valid JSON"):

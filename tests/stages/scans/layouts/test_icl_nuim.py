@@ -8,8 +8,8 @@ from scanloom.stages.scans.params import ScanParams
 from scanloom.stages.scans.reader import read_scan
 
 HALF = 0.5**0.5
-# In OpenCV axes, y down in the world too: turned by 90 degrees about +x, at (1, 2, 3). The known camera point
-# (0.2, 0.1, 2) turns to (0.2, -2, 0.1) and lies at (1.2, 0, 3.1).
+# In OpenCV axes, with y down in the world, too: rotated by 90° about +x, at (1, 2, 3). The known camera point
+# (0.2, 0.1, 2) is rotated to (0.2, -2, 0.1) and is at (1.2, 0, 3.1).
 TURNED_POINT = (1.2, 0.0, 3.1)
 
 
@@ -21,7 +21,7 @@ def scan_folder(tmp_path, tiny):
     (tmp_path / "associations.txt").write_text(
         "".join(f"{n} depth/{n}.png {n} rgb/{n}.png\n" for n in (0, 1, 2))
     )
-    # As the data set has them, y up in camera and world: the turn is by -90 degrees, the height -2. The first
+    # Convention of the data set, y up in camera and world: the rotation is -90°, the height is -2. The first
     # image has no pose.
     (tmp_path / "livingRoom1.gt.freiburg").write_text(f"1 0 0 0 0 0 0 1\n2 1 -2 3 {-HALF} 0 0 {HALF}\n")
     return tmp_path
@@ -40,7 +40,7 @@ def test_known_points_come_out_in_the_world(scan_folder, tiny):
 
 
 def test_points_agree_with_the_published_camera(scan_folder, tiny):
-    # With fy = -480 and the file's own pose; that world has y up, ours down.
+    # With fy = -480 and the pose of the file, whose world has y up instead of down.
     frame = read_scan(scan_folder).frames[1]
     u, v = 26, 17
     fx, fy, cx, cy = (481.2 / 20, -480 / 20, 320 / 20 - 0.5, 240 / 20 - 0.5)
@@ -50,14 +50,14 @@ def test_points_agree_with_the_published_camera(scan_folder, tiny):
     assert np.linalg.det(frame.world_from_camera) == pytest.approx(1)
 
 
-def test_colour_may_stand_first(scan_folder):
+def test_colour_may_be_listed_first(scan_folder):
     lines = "".join(f"{n} rgb/{n}.png {n} depth/{n}.png\n" for n in (0, 1, 2))
     (scan_folder / "associations.txt").write_text(lines)
     frame = read_scan(scan_folder).frames[0]
     assert (frame.color.parent.name, frame.depth.parent.name) == ("rgb", "depth")
 
 
-def test_a_trajectory_of_ones_own_has_y_down(scan_folder, tiny):
+def test_a_user_trajectory_has_y_down(scan_folder, tiny):
     (scan_folder / "mine.txt").write_text(f"1 0 0 0 0 0 0 1\n2 1 2 3 {HALF} 0 0 {HALF}\n")
     options = ScanParams(intrinsics=tiny.option, poses="mine.txt")
     np.testing.assert_allclose(tiny.seen(read_scan(scan_folder, options).frames[1]), TURNED_POINT, atol=1e-6)
@@ -93,7 +93,7 @@ def test_wrong_poses_are_refused(scan_folder, text):
         read_scan(scan_folder)
 
 
-def test_poses_of_another_clock_are_taken_in_order(scan_folder, tiny):
+def test_poses_of_another_clock_are_assigned_in_order(scan_folder, tiny):
     turned = " ".join(map(str, tiny.second_quaternion))
     (scan_folder / "mine.tum").write_text(f"500 0 0 0 0 0 0 1\n501 1 2 3 {turned}\n502 0 0 0 0 0 0 1\n")
     named = ScanParams(poses="mine.tum", intrinsics=tiny.option)

@@ -48,7 +48,7 @@ def test_without_poses_and_without_a_calibration(scan_folder):
     assert (alone.value.diagnostic.code, alone.value.diagnostic.severity.value) == ("pose.missing", "error")
 
 
-def test_the_places_of_the_car_are_no_poses_and_that_is_told(scan_folder):
+def test_gps_positions_are_not_used_as_poses_and_reported(scan_folder):
     (scan_folder / "poses.txt").unlink()
     (scan_folder / "insdata.txt").write_text("1.0 49.01 8.43 112 0 0 0 0.01 0.02 1.5\n" * 2)
     (lacking,) = read_scan(scan_folder, complete=False).missing

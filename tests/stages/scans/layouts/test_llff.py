@@ -9,7 +9,10 @@ from scanloom.stages.scans.reader import read_scan
 
 
 def row(pose, size=(32, 24), focal=100.0, bounds=(1.0, 4.0)):
-    """17 numbers: axes down, right, back, the place, h, w and f; then the nearest and the farthest."""
+    """Make the 17 numbers of a pose.
+
+    Axes (down, right, back), position, h, w, f, nearest and farthest depth.
+    """
     right, down, forward = pose[:3, :3].T
     table = np.column_stack([down, right, -forward, pose[:3, 3], (size[1], size[0], focal)])
     return [*table.ravel(), *bounds]
@@ -19,7 +22,7 @@ def row(pose, size=(32, 24), focal=100.0, bounds=(1.0, 4.0)):
 def scan_folder(tmp_path, tiny):
     for name in ("IMG_2", "IMG_10"):
         tiny.color(tmp_path / "images" / f"{name}.JPG")
-    # In the order of names as text: IMG_10 comes first.
+    # In alphabetical order, IMG_10 comes first.
     np.save(tmp_path / "poses_bounds.npy", [row(tiny.second), row(tiny.identity)])
     return tmp_path
 
@@ -50,11 +53,11 @@ def test_photos_made_smaller_keep_their_rows(scan_folder, tiny):
     assert read_scan(scan_folder).frames[0].camera.fx == 50
 
 
-def test_masks_beside_the_photos(scan_folder):
+def test_masks_next_to_the_photos(scan_folder):
     (scan_folder / "masks").mkdir()
     mask = np.zeros((24, 32), np.uint8)
     mask[5:15, 5:25] = 255
-    mask[0, 0] = 3  # as JPEG leaves black
+    mask[0, 0] = 3  # JPEG compression does not keep exact black
     assert cv2.imwrite(str(scan_folder / "masks" / "IMG_2_mask.png"), mask)
     first, second = read_scan(scan_folder).frames
     assert first.mask is None
@@ -79,7 +82,7 @@ def test_rows_that_are_no_views(scan_folder):
 def test_a_real_turntable(shared_data):
     scan = read_scan(shared_data / "real" / "llff_tankard_masks")
     assert (len(scan.frames), scan.frames[0].camera.fx) == (8, pytest.approx(10547.244, abs=1e-3))
-    # All look at one place, about 4 units away.
+    # All cameras face one point, about 4 units away.
     forwards = [frame.world_from_camera[:3, 2] for frame in scan.frames]
     centres = [frame.world_from_camera[:3, 3] for frame in scan.frames]
     lines = [np.eye(3) - np.outer(one, one) for one in forwards]

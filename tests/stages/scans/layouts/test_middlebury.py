@@ -37,13 +37,13 @@ def test_the_known_point_falls_on_known_pixels(scan_folder, tiny):
     np.testing.assert_allclose(right, (26 - 8.5, 17))
 
 
-def test_a_single_pair_without_pose_stands_at_the_origin_and_says_so(scan_folder):
+def test_a_single_pair_without_pose_is_at_the_origin_with_a_report(scan_folder):
     scan = read_scan(scan_folder)
     np.testing.assert_array_equal(scan.frames[0].world_from_camera, np.eye(4))
     assert any("the only frame has no pose" in text for text in map(str, scan.diagnostics))
 
 
-def test_a_pose_beside_it_is_used(scan_folder, tiny, matrix_text):
+def test_a_pose_file_is_used(scan_folder, tiny, matrix_text):
     (scan_folder / "pose.txt").write_text(matrix_text(tiny.second))
     scan = read_scan(scan_folder)
     np.testing.assert_allclose(scan.frames[0].world_from_camera, tiny.second)
@@ -75,7 +75,7 @@ def test_stated_values_win(scan_folder):
         (CALIB.replace("cam0=[100", "cam0=[-100"), "focal length"),
     ],
 )
-def test_damaged_calibrations_are_told(scan_folder, text, message):
+def test_damaged_calibrations_are_reported(scan_folder, text, message):
     (scan_folder / "calib.txt").write_text(text)
     with pytest.raises(InputError, match=message):
         read_scan(scan_folder)
@@ -88,7 +88,7 @@ def test_motorcycle(shared_data):
     assert scan.rig.right.cx - scan.rig.left.cx == pytest.approx(31.086)
 
 
-def test_a_pair_without_calibration_says_how_to_give_it(tmp_path, tiny):
+def test_a_missing_calibration_is_an_error_with_a_remedy(tmp_path, tiny):
     tiny.color(tmp_path / "im2.ppm")
     tiny.color(tmp_path / "im6.ppm")
     with pytest.raises(InputError, match=r"no calibration.*scan\.intrinsics.*scan\.baseline"):

@@ -94,7 +94,7 @@ def test_stated_values_win(scan_folder, tiny):
         (PAR.replace("a0002.png", "../a0002.png"), "not the name of an image"),
     ],
 )
-def test_damaged_camera_files_are_told(scan_folder, text, message):
+def test_damaged_camera_files_are_reported(scan_folder, text, message):
     (scan_folder / "a_par.txt").write_text(text)
     with pytest.raises(InputError, match=rf"a_par\.txt.*{message}"):
         read_scan(scan_folder)
@@ -114,7 +114,7 @@ def test_temple_ring(shared_data):
     np.testing.assert_allclose(scan.bounding_box[1], (0.078626, 0.121636, -0.017395))
     middle = scan.bounding_box.mean(axis=0)
     for frame in scan.frames:
-        # All stand on a ring of 0.57 m around the object and look at it.
+        # All cameras are on a ring of 0.57 m around the object and face its centre.
         seen = frame.world_from_camera[:3, :3].T @ (middle - frame.world_from_camera[:3, 3])
         assert 0.55 < seen[2] < 0.59
         assert np.hypot(*seen[:2]) < 0.03

@@ -24,7 +24,7 @@ def document(tiny, poses=None):
         "h": 24 * FACTOR,
         "fl_x": camera["fx"],
         "fl_y": camera["fy"],
-        # Counted from the corner of the top left pixel.
+        # Pixel coordinates from the corner of the top left pixel.
         "cx": camera["cx"] + 0.5,
         "cy": camera["cy"] + 0.5,
         "frames": [
@@ -63,7 +63,7 @@ def test_known_points_come_out_in_the_world(scan_folder, tiny):
     np.testing.assert_allclose(points(scan_folder, tiny), tiny.points, atol=1e-6)
 
 
-def test_colour_is_looked_up_in_its_own_size(scan_folder, tiny):
+def test_colour_is_sampled_at_its_own_resolution(scan_folder, tiny):
     for frame in read_scan(scan_folder).frames:
         assert (frame.color_camera.width, frame.camera.width) == (32 * FACTOR, 32)
         assert tiny.green_is_at_the_pixel(frame)
@@ -77,7 +77,7 @@ def test_frames_come_in_the_order_of_their_numbers(scan_folder, tiny):
 
 
 def test_the_applied_transform_and_scale_are_undone(scan_folder, tiny):
-    """p_file = s · A p: what the file's world was made from comes out."""
+    """p_file = s · A p: the original world is restored."""
     poses = [APPLIED @ tiny.opengl(pose) for pose in (tiny.identity, tiny.second)]
     for pose in poses:
         pose[:3, 3] *= 0.25
@@ -87,7 +87,7 @@ def test_the_applied_transform_and_scale_are_undone(scan_folder, tiny):
 
 
 @pytest.mark.parametrize("factor", [0.00118428, 250.0])
-def test_a_pose_multiplied_as_a_whole_is_the_same(scan_folder, tiny, factor):
+def test_a_scaled_homogeneous_pose_is_the_same(scan_folder, tiny, factor):
     poses = [factor * tiny.opengl(pose) for pose in (tiny.identity, tiny.second)]
     write(scan_folder, document(tiny, poses))
     np.testing.assert_allclose(points(scan_folder, tiny), tiny.points, atol=1e-6)
@@ -126,7 +126,7 @@ def test_blender_leaves_out_the_extension_and_gives_an_angle(tmp_path, tiny):
         tiny.dotted_file(tmp_path / "train" / f"r_{number}.png", 1)
         tiny.depth(tmp_path / "train" / f"r_{number}_depth.png", 1000)
     content = {
-        # 31.9 px across at a focal length of 100 px would be 2 atan(0.1595).
+        # A width of 31.9 px at a focal length of 100 px is an angle of 2 atan(0.1595).
         "camera_angle_x": 2 * math.atan(0.16),
         "frames": [
             {
@@ -139,7 +139,7 @@ def test_blender_leaves_out_the_extension_and_gives_an_angle(tmp_path, tiny):
     }
     write(tmp_path, content, "transforms_train.json")
     assert read_scan(tmp_path).up is None
-    # Its script writes by how much the camera turned from view to view, too.
+    # The script also writes the rotation between consecutive views.
     for entry in content["frames"]:
         entry["rotation"] = 0.0126
     write(tmp_path, content, "transforms_train.json")
@@ -149,7 +149,7 @@ def test_blender_leaves_out_the_extension_and_gives_an_angle(tmp_path, tiny):
     camera = frames[0].camera
     np.testing.assert_allclose((camera.fx, camera.fy, camera.cx, camera.cy), (100, 100, 15.5, 11.5))
     assert read_color(frames[1]).shape == (24, 32, 3)
-    # Half a pixel of 100 px of focal length is a hundredth of the 2 m.
+    # Half a pixel at a focal length of 100 px is 1 % of 2 m.
     seen = [tiny.seen(frame) for frame in frames]
     np.testing.assert_allclose(seen, np.add(tiny.points, [(0.01, 0.01, 0), (0, 0.01, -0.01)]), atol=1e-6)
 
@@ -163,7 +163,7 @@ def test_depth_in_steps_of_instant_ngp(scan_folder, tiny):
     write(scan_folder, content)
     np.testing.assert_allclose(points(scan_folder, tiny), tiny.points, atol=1e-6)
     assert not read_scan(scan_folder).is_metric
-    # A quarter of a metre a unit: depth goes along.
+    # A quarter of a metre per unit; depth is scaled, too.
     np.testing.assert_allclose(points(scan_folder, tiny, scale=0.25), np.array(tiny.points) / 4, atol=1e-6)
 
 
@@ -220,7 +220,7 @@ def test_distortion_has_opencvs_order(scan_folder, tiny):
         ),
     ],
 )
-def test_what_cannot_be_right_is_one_sentence(scan_folder, tiny, change, message):
+def test_invalid_values_are_one_sentence(scan_folder, tiny, change, message):
     write(scan_folder, document(tiny) | change)
     with pytest.raises(InputError, match=message):
         read_scan(scan_folder)
@@ -233,13 +233,13 @@ def test_fisheye_cameras(scan_folder, tiny, said):
     frame = read_scan(scan_folder).frames[0]
     for camera in (frame.camera, frame.color_camera):
         assert (camera.fisheye, camera.distortion) == (True, (0.1, 0.2, 0.3, 0.4))
-    # Stated intrinsics do not make a pinhole of it.
+    # Given intrinsics do not turn a fisheye into a pinhole.
     stated = read_scan(scan_folder, ScanParams(intrinsics="300,300,65.5,49.5")).frames[0].color_camera
     assert (stated.fx, stated.fisheye, stated.distortion) == (300, True, (0.1, 0.2, 0.3, 0.4))
 
 
 def test_depth_of_a_fisheye_camera_stays_depth_along_the_axis(scan_folder, tiny):
-    """The lens is short: what lies 45 degrees to the right is a quarter of pi times 8 pixels aside."""
+    """A fisheye: a point at 45° to the right is π/4 · 8 pixels from the centre."""
     content = document(tiny)
     factor = 8 / 100
     wide = {key: content[key] * factor for key in ("fl_x", "fl_y")}
@@ -252,7 +252,7 @@ def test_depth_of_a_fisheye_camera_stays_depth_along_the_axis(scan_folder, tiny)
     frame = read_scan(scan_folder).frames[0]
     assert frame.camera.fx == pytest.approx(8)
     seen = read_depth(frame)
-    # Nearest pixels only, and as they were: no depth between the two.
+    # Depth is sampled at the nearest pixel, without interpolation.
     assert set(np.unique(seen)) <= {0.0, 2.0, 3.0}
     rows, columns = np.nonzero(seen == 2)
     assert (rows.min(), rows.max(), columns.mean()) == (12, 12, pytest.approx(16 + 8, abs=0.6))
@@ -294,14 +294,14 @@ def test_single_views_in_another_unit(scan_folder, tiny):
     scan = read_scan(scan_folder, ScanParams(depth_scale=1000))
     tiny.assert_views(scan)
     assert scan.diagnostics == ()
-    # Stated poses are in metres.
+    # Given poses are in metres.
     rows = [" ".join(map(str, pose[:3].ravel())) for pose in (tiny.identity, tiny.second)]
     (scan_folder / "poses.txt").write_text("\n".join(rows))
     tiny.assert_views(read_scan(scan_folder, ScanParams(depth_scale=1000, poses="poses.txt")))
 
 
 def test_single_views_each_of_its_size(scan_folder, tiny):
-    """Images that were made smaller after their cameras were found; one that was cropped is left out."""
+    """Images reduced after camera estimation are used; a cropped image is skipped."""
     tiny.dotted_file(scan_folder / "images" / "10.png", 1)
     write(scan_folder, without_depth(tiny))
     scan = read_scan(scan_folder)
@@ -314,7 +314,7 @@ def test_single_views_each_of_its_size(scan_folder, tiny):
 
 
 @pytest.mark.parametrize("with_depth", [True, False])
-def test_masks_say_where_nothing_is(scan_folder, tiny, with_depth):
+def test_masks_exclude_pixels(scan_folder, tiny, with_depth):
     mask = np.full((24 * FACTOR, 32 * FACTOR), 255, np.uint8)
     mask[: 4 * FACTOR] = 0
     content = document(tiny) if with_depth else without_depth(tiny)
@@ -367,7 +367,7 @@ def test_a_frame_whose_pose_is_lost_is_left_out(scan_folder, tiny):
 @pytest.mark.parametrize("size", [(128, 0), (0, 96)])
 @pytest.mark.parametrize("is_stated", [True, False])
 def test_an_image_without_rows_is_one_sentence(scan_folder, tiny, size, is_stated):
-    """Its depth camera was scaled by a height of 0."""
+    """The intrinsics of its depth camera were scaled with a height of 0."""
     content = document(tiny)
     if not is_stated:
         content = {key: value for key, value in content.items() if key not in "wh"}
@@ -419,7 +419,7 @@ def test_a_frame_of_another_computer_that_is_not_there_is_left_out(scan_folder, 
     assert [(one.name, one.reason) for one in scan.skipped_frames] == [("10", "10.png is missing")]
 
 
-def test_a_real_toy_whose_paths_are_those_of_its_author(shared_data, tmp_path):
+def test_a_real_toy_with_paths_of_another_machine(shared_data, tmp_path):
     source = shared_data / "real" / "nerf_alpha_toy"
     content = json.loads((source / "transforms.json").read_text())
     for entry in content["frames"]:
@@ -432,8 +432,8 @@ def test_a_real_toy_whose_paths_are_those_of_its_author(shared_data, tmp_path):
     assert any("such as '/home/someone/" in text for text in map(str, scan.diagnostics))
 
 
-def test_photos_of_nearly_the_size_of_their_camera_are_told(scan_folder, tiny):
-    """A camera of photos whose lens was straightened, beside those from before."""
+def test_photos_of_nearly_the_size_of_their_camera_are_reported(scan_folder, tiny):
+    """A camera of undistorted photos together with photos from before undistortion."""
     content = document(tiny)
     for entry in content["frames"]:
         del entry["depth_file_path"]

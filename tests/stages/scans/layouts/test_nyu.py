@@ -19,7 +19,7 @@ METRES = 351.3 / (1092.5 - DISPARITY)
 
 
 def write_disparities(path, values):
-    """Write a .pgm as the data set's recorder did: low byte first."""
+    """Write a PGM file like the data set's recorder: low byte first."""
     height, width = values.shape
     path.write_bytes(f"P5 {width} {height} 65535\n".encode() + values.astype("<u2").tobytes())
 
@@ -42,7 +42,7 @@ def test_disparities_become_metres(scan_folder, tiny):
     assert scan.layout == "nyu"
     depth = read_depth(scan.frames[0])
     np.testing.assert_allclose(depth[5, 5], METRES, rtol=1e-6)
-    # No return, below what the sensor can see, and 10.8 m away.
+    # No return, below the minimum range, and 10.8 m away.
     assert depth[0, :5].tolist() == [0, 0, 0, 0, depth[5, 5]]
 
 
@@ -54,7 +54,7 @@ def test_streams_are_paired_by_time(scan_folder):
     assert [one.reason for one in scan.skipped_frames] == ["no colour image within 0.05 s"]
 
 
-def test_known_points_with_a_trajectory_of_ones_own(scan_folder, tiny):
+def test_known_points_with_a_user_trajectory(scan_folder, tiny):
     x, y, z, w = tiny.second_quaternion
     (scan_folder / "mine.tum").write_text(f"10.0 0 0 0 0 0 0 1\n10.5 1 2 3 {x} {y} {z} {w}\n")
     frames = read_scan(scan_folder, ScanParams(intrinsics=tiny.option, poses="mine.tum")).frames
@@ -63,15 +63,16 @@ def test_known_points_with_a_trajectory_of_ones_own(scan_folder, tiny):
         np.testing.assert_allclose(tiny.seen(frame), point[:3], atol=1e-6)
 
 
-def test_poses_are_said_to_be_missing(scan_folder):
+def test_missing_poses_are_reported(scan_folder):
     with pytest.raises(InputError, match=r"no poses: the data set contains no poses.*scan\.poses"):
         read_scan(scan_folder)
 
 
-def test_the_colour_camera_stands_to_the_right(scan_folder):
+def test_the_colour_camera_is_to_the_right(scan_folder):
     frame = read_scan(scan_folder, complete=False).frames[0]
     x, y, z = (frame.color_from_depth @ (0, 0, 2, 1))[:3]
-    # A point ahead of the depth camera is 25 mm left of the colour camera's axis, turned by 4.3 mrad.
+    # A point on the axis of the depth camera is 25 mm left of the colour camera's axis, which is rotated by
+    # 4.3 mrad.
     np.testing.assert_allclose((x, y, z), (-0.0251 - 2 * 0.00432, 0.0076, 2), atol=1e-3)
 
 
@@ -95,7 +96,7 @@ def test_one_stream_alone_is_no_scan(scan_folder):
         read_scan(scan_folder, ScanParams(layout="nyu"))
 
 
-def test_a_real_frame_meets_its_colour(shared_data, tmp_path):
+def test_depth_of_a_real_frame_is_aligned_with_its_colour(shared_data, tmp_path):
     source = shared_data / "rgbd" / "open3d_testdata" / "RGBD" / "other_formats"
     (tmp_path / "d-10.000000-100.pgm").symlink_to(source / "NYU_depth.pgm")
     (tmp_path / "r-10.010000-101.ppm").symlink_to(source / "NYU_color.ppm")
@@ -104,20 +105,20 @@ def test_a_real_frame_meets_its_colour(shared_data, tmp_path):
     depth = read_depth(frame)
     assert 1.5 < np.median(depth[depth > 0]) < 4
     assert any("the only frame has no pose" in text for text in map(str, scan.diagnostics))
-    # It is one frame alone, seen twice.
+    # The same frame twice.
     found = estimate_photo_offset(
         observe_silhouettes([frame], [0]) * 2, get_color_camera(frame), get_color_from_depth(frame)
     )
     assert np.hypot(*found.shift_px) < 2
     unregistered = cv2.imread(str(source / "NYU_color.ppm"))[:, :, ::-1]
-    # Without the cameras' places the edges of colour correlate with those of depth not half as well.
+    # Without the extrinsics, the correlation of colour edges and depth edges is less than half.
     assert correlation(read_color_aligned_to_depth(frame, depth), depth) > 2 * correlation(
         unregistered, depth
     )
 
 
 def correlation(color, depth):
-    """Pearson correlation of colour edges with jumps of depth."""
+    """Compute the Pearson correlation of colour edges and depth discontinuities."""
     gray = cv2.cvtColor(np.ascontiguousarray(color), cv2.COLOR_RGB2GRAY).astype(np.float32)
     edges = cv2.magnitude(cv2.Sobel(gray, cv2.CV_32F, 1, 0), cv2.Sobel(gray, cv2.CV_32F, 0, 1))
     logs = np.log(np.where(depth > 0, depth, 10))
@@ -126,7 +127,7 @@ def correlation(color, depth):
     return np.corrcoef(np.minimum(edges[known], 200), jumps[known])[0, 1]
 
 
-def test_poses_of_another_clock_are_taken_in_order(scan_folder, tiny):
+def test_poses_of_another_clock_are_assigned_in_order(scan_folder, tiny):
     turned = " ".join(map(str, tiny.second_quaternion))
     (scan_folder / "mine.tum").write_text(f"500.0 0 0 0 0 0 0 1\n500.5 1 2 3 {turned}\n")
     named = ScanParams(poses="mine.tum", intrinsics=tiny.option)

@@ -83,7 +83,7 @@ def test_every_form_of_trajectory(scan_folder, tiny, matrix_text, name):
     assert_known_pixels(read_scan(scan_folder), tiny)
 
 
-def test_timed_poses_are_taken_at_the_frames_times(scan_folder, tiny):
+def test_timed_poses_are_interpolated_at_frame_times(scan_folder, tiny):
     (scan_folder / "poses.txt").unlink()
     x, y, z, w = tiny.second_quaternion
     (scan_folder / "times.txt").write_text("5.0\n5.1\n")
@@ -93,7 +93,7 @@ def test_timed_poses_are_taken_at_the_frames_times(scan_folder, tiny):
     assert_known_pixels(read_scan(scan_folder), tiny)
 
 
-def test_a_missing_calibration_says_what_to_do(scan_folder, tiny):
+def test_a_missing_calibration_is_an_error_with_a_remedy(scan_folder, tiny):
     (scan_folder / "calibration.json").unlink()
     with pytest.raises(InputError, match=r"no calibration: calibration\.json is missing.*scan\.calibration"):
         read_scan(scan_folder)
@@ -160,7 +160,7 @@ def test_opencv_stereo_sample_files(scan_folder, tiny):
     assert_known_pixels(scan, tiny)
 
 
-def test_sides_of_different_size_are_told(scan_folder, tiny):
+def test_sides_of_different_size_are_reported(scan_folder, tiny):
     for number in (2, 10):
         tiny.color(scan_folder / "right" / f"right{number}.png", (64, 48))
     with pytest.raises(InputError, match="left images are 32×24 px and right images 64×48 px"):
@@ -184,7 +184,7 @@ def test_a_file_of_ros_for_each_camera(scan_folder, tiny):
     assert any("image_raw" in text for text in map(str, scan.diagnostics))
 
 
-def test_sides_that_share_no_numbers_are_told(scan_folder):
+def test_sides_that_share_no_numbers_are_reported(scan_folder):
     for old, new in ((2, "dawn"), (10, "noon")):
         (scan_folder / "right" / f"right{old}.png").rename(scan_folder / "right" / f"{new}.png")
     scan = read_scan(scan_folder)
@@ -192,7 +192,7 @@ def test_sides_that_share_no_numbers_are_told(scan_folder):
     assert any("left/ and right/ share no numbers" in text for text in map(str, scan.diagnostics))
 
 
-def test_a_rig_of_any_name_beside_the_images(scan_folder, tiny):
+def test_a_rig_file_of_any_name_next_to_the_images(scan_folder, tiny):
     (scan_folder / "calibration.json").rename(scan_folder / "our_cameras.json")
     scan = read_scan(scan_folder)
     assert_known_pixels(scan, tiny)
@@ -206,7 +206,7 @@ def test_a_rig_of_any_name_beside_the_images(scan_folder, tiny):
         read_scan(scan_folder)
 
 
-def test_real_halves_of_a_calibration_whose_p1_is_not_filled_in(shared_data, tmp_path, tiny):
+def test_real_calibration_halves_with_incomplete_p1(shared_data, tmp_path, tiny):
     halves = shared_data / "real" / "calibrations"
     for name in ("left01.jpg", "right01.jpg"):
         tiny.color(tmp_path / name, (3072, 2048))
@@ -221,7 +221,7 @@ def test_real_halves_of_a_calibration_whose_p1_is_not_filled_in(shared_data, tmp
         read_scan(tmp_path, ScanParams(calibration=str(copy)))
 
 
-def test_a_rig_beside_that_is_not_taken_is_told(scan_folder):
+def test_an_unused_rig_file_is_reported(scan_folder):
     for path in scan_folder.glob("calibration.*"):
         path.unlink()
     (scan_folder / "of the rig.yaml").write_text("K1: [100, 0, 16, 0, 100, 12, 0, 0, 1]\nK2: [100, 0")
@@ -233,7 +233,7 @@ def test_a_rig_beside_that_is_not_taken_is_told(scan_folder):
 
 
 MATRIX = np.array([[100.0, 0, 16], [0, 100, 12], [0, 0, 1]])
-# A camera 0.5 m right of the other, as cv2.stereoCalibrate tells it.
+# A camera 0.5 m to the right of the other, in the convention of cv2.stereoCalibrate.
 RIG = {"R": np.eye(3), "T": np.array([[-0.5], [0], [0]])}
 
 
@@ -303,7 +303,7 @@ def test_files_of_both_cameras_in_a_folder_of_calibrations(scan_folder):
     assert "the calibration is read from the files in calib/" in map(str, scan.diagnostics)
 
 
-def test_a_damaged_archive_of_arrays_is_told(scan_folder):
+def test_a_damaged_archive_of_arrays_is_reported(scan_folder):
     (scan_folder / "calibration.json").unlink()
     np.savez(scan_folder / "stereo.npz", **names_of_a_rig(("mtxL", "mtxR"), ("distL", "distR")))
     whole = (scan_folder / "stereo.npz").read_bytes()
@@ -316,7 +316,7 @@ def test_a_damaged_archive_of_arrays_is_told(scan_folder):
 
 
 def test_matrices_as_the_stereovision_package_saves_them(scan_folder):
-    """Its folder also holds turns, projections and maps, which are none of the two cameras."""
+    """The folder also contains rotations, projections and maps, which are not cameras."""
     (scan_folder / "calibration.json").unlink()
     place = scan_folder / "stereo_calibration_result"
     place.mkdir()
@@ -341,7 +341,7 @@ def test_matrices_as_the_stereovision_package_saves_them(scan_folder):
         (12.0, 0.012, r"read as millimetres; .*in centimetres it would be 0\.12 m"),
     ],
 )
-def test_a_baseline_whose_unit_nothing_tells(scan_folder, baseline, metres, said):
+def test_a_baseline_with_unknown_unit(scan_folder, baseline, metres, said):
     (scan_folder / "calibration.json").write_text(json.dumps({**CAMERA, "baseline": baseline}))
     scan = read_scan(scan_folder)
     assert scan.rig.baseline == pytest.approx(metres)
@@ -370,7 +370,7 @@ def test_folders_of_depth_and_of_boards_are_not_those_of_the_pairs(scan_folder, 
     assert_known_pixels(read_scan(scan_folder), tiny)
 
 
-def test_disparities_beside_the_images_are_none_of_a_side(scan_folder, tiny):
+def test_disparity_maps_are_not_images_of_a_side(scan_folder, tiny):
     for side in ("left", "right"):
         for number in (2, 10):
             (scan_folder / side / f"{side}{number}.png").rename(scan_folder / f"im_{side}_{number}.png")
@@ -393,7 +393,7 @@ def test_folders_of_several_rigs_are_not_guessed_at(scan_folder, tiny):
 @pytest.mark.parametrize(
     "form", ["img_{side}_{number}.png", "{number}_{letter}.png", "Cam{side}{number}.png"]
 )
-def test_images_whose_names_part_both_sides_anywhere(scan_folder, tiny, form):
+def test_sides_may_be_marked_anywhere_in_image_names(scan_folder, tiny, form):
     for side, letter in (("left", "L"), ("right", "R")):
         for number in (2, 10):
             name = form.format(

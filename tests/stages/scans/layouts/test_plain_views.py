@@ -1,4 +1,4 @@
-"""Photos, and files under any name beside them that hold their poses and their camera."""
+"""Photos with pose and camera files of any name in the same folder."""
 
 import json
 
@@ -14,7 +14,7 @@ K = {"camera_matrix": [[40.0, 0, 15.5], [0, 40.0, 11.5], [0, 0, 1]], "image_widt
 
 @pytest.fixture
 def photos(tmp_path, tiny):
-    """Three photos with numbers in their names, and their camera."""
+    """Write three photos with numbered names, and their camera."""
     for name in ("frame_000007", "frame_000012", "frame_000031"):
         tiny.color(tmp_path / "images" / f"{name}.png")
     (tmp_path / "lens.json").write_text(json.dumps(K))
@@ -48,7 +48,7 @@ def test_poses_in_the_order_of_the_photos(photos):
     assert any("camera is read from lens.json" in said for said in map(str, scan.diagnostics))
 
 
-def test_poses_by_the_numbers_of_frames_of_which_the_photos_are_a_few(photos):
+def test_poses_are_assigned_by_photo_numbers(photos):
     (photos / "poses.json").write_text(json.dumps({str(n): shifted(n).tolist() for n in range(40)}))
     assert places(read_scan(photos)) == [7, 12, 31]
 
@@ -79,7 +79,7 @@ def test_one_camera_of_a_rig(photos):
     assert (scan.layout, places(scan)) == ("plain-views", [1, 2, 3])
 
 
-def test_what_is_lacking_is_told(photos):
+def test_missing_data_is_reported(photos):
     with pytest.raises(InputError, match=r"unknown layout: images/ holds images without poses.*scan.poses"):
         read_scan(photos)
     elsewhere = photos.parent / "elsewhere.txt"
@@ -96,7 +96,7 @@ def test_what_is_lacking_is_told(photos):
     )
 
 
-def test_of_two_trajectories_none_is_taken(photos):
+def test_two_trajectories_are_ambiguous(photos):
     (photos / "one.txt").write_text(rows((1, 2, 3)))
     (photos / "two.txt").write_text(rows((4, 5, 6)))
     scan = read_scan(photos, complete=False)
@@ -108,7 +108,7 @@ def test_of_two_trajectories_none_is_taken(photos):
     assert places(read_scan(photos, ScanParams(poses="two.txt"))) == [4, 5, 6]
 
 
-def test_a_pose_file_of_other_frames_is_told(photos):
+def test_a_pose_file_of_other_frames_is_reported(photos):
     (photos / "where.txt").write_text(rows((1, 2, 3)))
     (photos / "others.json").write_text(json.dumps({"left": shifted(1).tolist()}))
     with pytest.raises(InputError, match=r"its frame names, such as 'left', match no frame of the scan"):
@@ -124,7 +124,7 @@ def test_a_pose_file_of_other_frames_is_told(photos):
         ("world-to-camera-y-up", lambda pose: np.linalg.inv(pose @ np.diag((1, -1, -1, 1)))),
     ],
 )
-def test_poses_are_taken_as_they_are_said_to_be_meant(photos, tiny, convention, written):
+def test_the_given_pose_convention_is_used(photos, tiny, convention, written):
     poses = [tiny.identity, tiny.second, tiny.identity]
     (photos / "poses.json").write_text(json.dumps([written(pose).tolist() for pose in poses]))
     scan = read_scan(photos, ScanParams(pose_convention=convention))

@@ -27,7 +27,7 @@ def scan_folder(tmp_path, tiny):
     keyframes = tmp_path / "keyframes"
     for stem, pose in zip(STEMS, (tiny.identity, tiny.second), strict=True):
         for name in ("cameras", "corrected_cameras"):
-            # The poses as tracked are off; the corrected ones are right.
+            # The tracked poses are inaccurate, the corrected ones are right.
             drift = np.zeros((4, 4))
             drift[0, 3] = 0.5 * (name == "cameras")
             write_camera(
@@ -54,7 +54,7 @@ def test_known_points_come_out_in_the_world(scan_folder, tiny):
     np.testing.assert_allclose(points(scan_folder, tiny), tiny.points, atol=1e-6)
 
 
-def test_colour_is_looked_up_in_its_own_size(scan_folder, tiny):
+def test_colour_is_sampled_at_its_own_resolution(scan_folder, tiny):
     assert all(tiny.green_is_at_the_pixel(frame) for frame in read_scan(scan_folder).frames)
 
 
@@ -68,7 +68,7 @@ def test_depth_of_little_confidence_is_left_out(scan_folder, least, kept):
     )
 
 
-def test_without_corrected_cameras_the_tracked_ones_are_used_and_said(scan_folder, tiny):
+def test_without_corrected_cameras_the_tracked_ones_are_used_and_reported(scan_folder, tiny):
     for file in (scan_folder / "keyframes" / "corrected_cameras").iterdir():
         file.unlink()
     scan = read_scan(scan_folder)
@@ -130,8 +130,8 @@ def test_without_depth_the_frames_are_single_views(scan_folder, tiny):
     ]
 
 
-def test_black_borders_of_corrected_images_paint_nothing(scan_folder):
-    """Five columns of the image from its left edge go, and the one after, but not a dark thing inside."""
+def test_black_borders_of_corrected_images_are_invalid(scan_folder):
+    """Five black columns at the left edge and the next one are invalid, dark pixels inside are valid."""
     for stem in STEMS:
         for name in ("images", "corrected_images"):
             path = str(scan_folder / "keyframes" / name / f"{stem}.png")
@@ -140,7 +140,7 @@ def test_black_borders_of_corrected_images_paint_nothing(scan_folder):
             image[40:60, 60:80] = 0
             cv2.imwrite(path, image)
     depth = read_depth(read_scan(scan_folder).frames[0])
-    # Each pixel of depth is four of the image's.
+    # A depth pixel covers four image pixels.
     assert not depth[:, 0].any()
     assert (depth[4:, 1:] > 0).all()
     for file in (scan_folder / "keyframes" / "depth").iterdir():
@@ -152,7 +152,7 @@ def test_black_borders_of_corrected_images_paint_nothing(scan_folder):
     assert read_valid_pixels(read_scan(scan_folder).frames[0]).all()
 
 
-def test_without_images_the_reason_is_said(tmp_path):
+def test_without_images_the_reason_is_reported(tmp_path):
     (tmp_path / "keyframes" / "cameras").mkdir(parents=True)
     with pytest.raises(InputError, match="neither corrected_cameras/"):
         read_scan(tmp_path)

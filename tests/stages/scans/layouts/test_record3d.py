@@ -14,8 +14,8 @@ from scanloom.stages.scans.reader import read_scan
 
 FACTOR = 4
 HALF = 0.5**0.5
-# x y z w, then the place. OpenGL's camera is turned by 180° about x: for the first, (1, 0, 0, 0). The second
-# is 90° about +y after that: (0, h, 0, h) · (1, 0, 0, 0) = (h, 0, -h, 0).
+# Quaternion x y z w, then the position. OpenGL's camera is rotated by 180° about x: for the first pose, (1,
+# 0, 0, 0). The second adds 90° about +y: (0, h, 0, h) · (1, 0, 0, 0) = (h, 0, -h, 0).
 POSES = [[1, 0, 0, 0, 0, 0, 0], [HALF, 0, -HALF, 0, 1, 2, 3]]
 
 
@@ -73,7 +73,7 @@ def write_archive(path, tiny, entries=(), **change):
 
 @pytest.fixture(params=[".exr", ".npy", ".png", ".r3d"])
 def scan_folder(request, tmp_path, tiny):
-    """One scan in each of the forms that Record3D gives it."""
+    """Write a scan in each of the forms that Record3D exports."""
     if request.param == ".r3d":
         write_archive(tmp_path / "take.r3d", tiny)
     else:
@@ -89,7 +89,7 @@ def test_known_points_come_out_in_the_world(scan_folder, tiny):
     assert read_depth(scan.frames[0])[0, 0] == 0
 
 
-def test_colour_is_looked_up_in_its_own_size(scan_folder, tiny):
+def test_colour_is_sampled_at_its_own_resolution(scan_folder, tiny):
     frames = read_scan(scan_folder).frames
     assert read_color(frames[0]).shape == (24 * FACTOR, 32 * FACTOR, 3)
     assert all(tiny.green_is_at_the_pixel(frame) for frame in frames)
@@ -170,7 +170,7 @@ def test_damaged_metadata_is_one_sentence(tmp_path, tiny, packed, change, messag
         read_scan(tmp_path)
 
 
-def test_without_depth_the_reason_is_said(tmp_path, tiny):
+def test_without_depth_the_reason_is_reported(tmp_path, tiny):
     write_archive(tmp_path / "take.r3d", tiny, {"rgbd/0.depth": None, "rgbd/1.depth": None})
     with pytest.raises(InputError, match="this layout requires depth"):
         read_scan(tmp_path)
@@ -190,7 +190,7 @@ def test_a_packed_frame_without_depth_is_left_out(tmp_path, tiny):
 
 
 def test_the_size_of_packed_depth_is_known_by_its_length(tmp_path, tiny):
-    """Older recordings do not say it: a phone's LiDAR gives 256×192."""
+    """Older recordings lack the size: the LiDAR of a phone gives 256×192."""
     camera = tiny.scaled_intrinsics(FACTOR)
     large = lzfse.compress(np.full((192, 256), 2, np.float32).tobytes())
     entries = {"rgbd/0.depth": large, "rgbd/1.depth": large, "rgbd/0.conf": None, "rgbd/1.conf": None}
@@ -207,18 +207,18 @@ def test_the_size_of_packed_depth_is_known_by_its_length(tmp_path, tiny):
         ("rgbd/0.depth", lambda: b"hello"),
         ("rgbd/0.depth", lambda: lzfse.compress(bytes(100))),
         ("rgbd/0.depth", lambda: lzfse.compress(depth_map().tobytes())[:-10]),
-        # Made where it is used: it takes seconds.
+        # Created lazily, because it takes seconds.
         pytest.param("rgbd/0.depth", lambda: lzfse.compress(bytes(1 << 26)), marks=pytest.mark.slow),
         ("rgbd/0.conf", lambda: lzfse.compress(bytes(10))),
     ],
 )
-def test_a_damaged_packed_depth_is_told(tmp_path, tiny, entry, data):
+def test_a_damaged_packed_depth_is_reported(tmp_path, tiny, entry, data):
     write_archive(tmp_path / "take.r3d", tiny, {entry: data()})
     with pytest.raises(InputError, match=rf"take\.r3d: {entry}: "):
         read_depth(read_scan(tmp_path).frames[0])
 
 
-def test_a_damaged_packed_image_is_told(tmp_path, tiny):
+def test_a_damaged_packed_image_is_reported(tmp_path, tiny):
     turned = cv2.imencode(".jpg", np.zeros((32 * FACTOR, 24 * FACTOR, 3), np.uint8))[1].tobytes()
     for data, message in ((b"hello", "does not decode"), (turned, "rotated by 90°"), (turned[:80], "image")):
         write_archive(tmp_path / "take.r3d", tiny, {"rgbd/0.jpg": data})
@@ -226,7 +226,7 @@ def test_a_damaged_packed_image_is_told(tmp_path, tiny):
             read_color(read_scan(tmp_path).frames[0])
 
 
-def test_an_archive_cut_short_or_damaged_is_told(tmp_path, tiny):
+def test_an_archive_cut_short_or_damaged_is_reported(tmp_path, tiny):
     path = tmp_path / "take.r3d"
     write_archive(path, tiny)
     data = path.read_bytes()
@@ -267,7 +267,7 @@ def test_an_archive_of_another_compression_is_one_sentence(tmp_path, tiny, metho
         read_scan(tmp_path)
 
 
-def test_an_entry_may_not_be_larger_than_what_it_holds_ever_is(tmp_path, tiny, monkeypatch):
+def test_an_implausibly_large_entry_is_refused(tmp_path, tiny, monkeypatch):
     write_archive(tmp_path / "take.r3d", tiny)
     monkeypatch.setattr("scanloom.stages.scans.layouts.record3d._MAX_ENTRY_BYTES", 100)
     with pytest.raises(InputError, match=r"take\.r3d: metadata is too large: it has .* at most 100 are"):

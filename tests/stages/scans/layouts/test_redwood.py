@@ -18,7 +18,7 @@ def scan_folder(tmp_path, tiny, matrix_text):
     (tmp_path / "trajectory.log").write_text(
         "0 0 1\n" + matrix_text(tiny.identity) + "1 1 2\n" + matrix_text(tiny.second)
     )
-    # Column-major, as Open3D writes it.
+    # Column-major, like Open3D.
     (tmp_path / "intrinsic.json").write_text(
         json.dumps({"width": 32, "height": 24, "intrinsic_matrix": [100, 0, 0, 0, 100, 0, 16, 12, 1]})
     )
@@ -49,7 +49,7 @@ def test_json_trajectory_is_world_to_camera_column_major(scan_folder, tiny):
     np.testing.assert_allclose(points(scan_folder, tiny), tiny.points, atol=1e-6)
 
 
-# Units a metre, and metres of a unit.
+# Units per metre, and metres per unit.
 @pytest.mark.parametrize("stated", [4000, 0.00025])
 def test_depth_scale_of_the_intrinsic_file_is_used(scan_folder, tiny, stated):
     document = json.loads((scan_folder / "intrinsic.json").read_text())
@@ -59,7 +59,7 @@ def test_depth_scale_of_the_intrinsic_file_is_used(scan_folder, tiny, stated):
     np.testing.assert_allclose(points(scan_folder, tiny), tiny.points, atol=1e-6)
 
 
-def test_depth_in_fifths_of_millimetres_is_told(scan_folder):
+def test_depth_in_fifths_of_millimetres_is_reported(scan_folder):
     ramp = 5 * np.linspace(500, 1500, 32 * 24).reshape(24, 32).astype(np.uint16)
     for image in (scan_folder / "depth").iterdir():
         cv2.imwrite(str(image), ramp)
@@ -79,7 +79,7 @@ def test_camera_of_another_size_is_refused(scan_folder):
         read_scan(scan_folder)
 
 
-def test_without_intrinsics_the_default_is_used_and_said(scan_folder):
+def test_without_intrinsics_the_default_is_used_and_reported(scan_folder):
     (scan_folder / "intrinsic.json").unlink()
     scan = read_scan(scan_folder)
     camera = scan.frames[0].camera
@@ -117,7 +117,7 @@ def test_the_only_trajectory_is_found_by_any_name(scan_folder, tiny):
     np.testing.assert_allclose(points(scan_folder, tiny), tiny.points, atol=1e-6)
 
 
-def test_the_trajectory_may_stand_above_the_images(scan_folder, tiny):
+def test_the_trajectory_may_be_in_the_parent_folder(scan_folder, tiny):
     inside = scan_folder / "rgbd"
     inside.mkdir()
     (scan_folder / "color").rename(inside / "image")
@@ -141,7 +141,7 @@ def test_open3d_test_data(shared_data):
     assert any("camera_primesense.json" in text for text in map(str, scan.diagnostics))
 
 
-def test_grey_images_may_lie_in_a_folder_of_their_own_name(scan_folder, tiny):
+def test_grey_images_may_be_in_a_folder_mono(scan_folder, tiny):
     (scan_folder / "color").rename(scan_folder / "mono")
     np.testing.assert_allclose(points(scan_folder, tiny), tiny.points, atol=1e-6)
 
@@ -189,7 +189,7 @@ def test_a_real_recording_side_by_side(shared_data):
     assert scan.frames[0].camera.fx == 525
 
 
-def test_images_that_share_no_numbers_are_paired_in_order_and_told(scan_folder, tiny):
+def test_images_that_share_no_numbers_are_paired_in_order_and_reported(scan_folder, tiny):
     for old, new in (("2", "a"), ("10", "b")):
         (scan_folder / "color" / f"{old}.jpg").rename(scan_folder / "color" / f"{new}.jpg")
     scan = read_scan(scan_folder)
@@ -200,20 +200,20 @@ def test_images_that_share_no_numbers_are_paired_in_order_and_told(scan_folder, 
         read_scan(scan_folder)
 
 
-def test_images_of_one_number_are_not_told_of(scan_folder):
+def test_images_with_equal_numbers_give_no_warning(scan_folder):
     assert not any("share no numbers" in text for text in map(str, read_scan(scan_folder).diagnostics))
 
 
-def test_a_camera_file_of_any_name_beside_the_images(scan_folder, tiny):
+def test_a_camera_file_of_any_name_next_to_the_images(scan_folder, tiny):
     (scan_folder / "intrinsic.json").rename(scan_folder / "cam_params_mine.json")
-    # A pose is a matrix too.
+    # A pose file also contains a matrix.
     (scan_folder / "world.txt").write_text("0 0 1 1\n0 1 0 2\n-1 0 0 3\n0 0 0 1\n")
     np.testing.assert_allclose(points(scan_folder, tiny), tiny.points, atol=1e-6)
     said = "the camera is read from cam_params_mine.json, which was found next to the images"
     assert said in map(str, read_scan(scan_folder).diagnostics)
 
 
-def test_what_adjust_left_beside_the_images_is_no_calibration(scan_folder):
+def test_results_of_adjust_are_not_used_as_calibration(scan_folder):
     camera = {"width": 32, "height": 24, "fx": 90, "fy": 90, "cx": 16, "cy": 12}
     (scan_folder / "intrinsic.json").rename(scan_folder / "mine.json")
     (scan_folder / "cameras.json").write_text(json.dumps({"accepted": True, "color_camera": camera}))
@@ -222,7 +222,7 @@ def test_what_adjust_left_beside_the_images_is_no_calibration(scan_folder):
         read_scan(scan_folder, ScanParams(calibration="cameras.json"))
 
 
-def test_of_two_different_camera_files_none_is_taken(scan_folder):
+def test_two_different_camera_files_are_ambiguous(scan_folder):
     document = json.loads((scan_folder / "intrinsic.json").read_text())
     (scan_folder / "intrinsic.json").rename(scan_folder / "a.json")
     document["intrinsic_matrix"][0] = 200
@@ -241,14 +241,14 @@ def test_a_real_camera_file_of_another_name(shared_data):
     np.testing.assert_allclose((camera.fx, camera.fy, camera.cx, camera.cy), expected, atol=1e-3)
 
 
-def test_a_pose_file_of_seven_columns_goes_with_the_frames_in_order(scan_folder, tiny):
+def test_a_pose_file_of_seven_columns_is_assigned_in_frame_order(scan_folder, tiny):
     (scan_folder / "trajectory.log").unlink()
     turned = " ".join(map(str, tiny.second_quaternion))
     (scan_folder / "gt.txt").write_text(f"# tx ty tz qx qy qz qw\n0 0 0 0 0 0 1\n1 2 3 {turned}\n")
     np.testing.assert_allclose(points(scan_folder, tiny, poses="gt.txt"), tiny.points, atol=1e-6)
 
 
-def test_poses_beside_the_images_do_not_hide_the_camera(scan_folder, tiny, matrix_text):
+def test_pose_files_do_not_hide_the_camera_file(scan_folder, tiny, matrix_text):
     (scan_folder / "intrinsic.json").rename(scan_folder / "mine.json")
     for number in range(70):
         (scan_folder / f"pose{number}.txt").write_text(matrix_text(tiny.second))
@@ -263,7 +263,7 @@ def test_poses_beside_the_images_do_not_hide_the_camera(scan_folder, tiny, matri
         ('{"fx": 100, "fy": 100, "cx": 16, "cy": 12, "width": 32, "height": 20}', "for images of 32×20"),
     ],
 )
-def test_a_camera_beside_that_is_not_taken_is_told(scan_folder, text, reason):
+def test_an_unused_camera_file_is_reported(scan_folder, text, reason):
     (scan_folder / "intrinsic.json").unlink()
     (scan_folder / "mine.json").write_text(text)
     scan = read_scan(scan_folder)
@@ -283,7 +283,7 @@ def test_texts_of_programs_state_no_camera(scan_folder, name):
 
 
 @pytest.mark.parametrize(("levels", "least"), [((0, 50, 100), 50), ((0, 1, 2), 1)])
-def test_confidence_beside_depth_leaves_out_the_lowest(scan_folder, levels, least):
+def test_confidence_maps_exclude_the_lowest_level(scan_folder, levels, least):
     names = [path.name for path in sorted((scan_folder / "depth").iterdir())]
     (scan_folder / "confidence").mkdir()
     for name in names:
@@ -319,8 +319,8 @@ def test_a_real_phone_states_its_confidence(shared_data):
 
 
 @pytest.mark.parametrize("name", ["pose.txt", "of the camera.txt", "way.tum"])
-def test_poses_beside_the_images_are_found_under_any_name(scan_folder, tiny, name):
-    # As SLAMBench has them: a line a frame, in order, without times.
+def test_pose_files_are_found_under_any_name(scan_folder, tiny, name):
+    # SLAMBench's form: a line per frame, in order, without times.
     (scan_folder / "trajectory.log").unlink()
     turned = " ".join(map(str, tiny.second_quaternion))
     times = ("0 ", "1 ") if name.endswith("tum") else ("", "")
@@ -329,7 +329,7 @@ def test_poses_beside_the_images_are_found_under_any_name(scan_folder, tiny, nam
     np.testing.assert_allclose(points(scan_folder, tiny), tiny.points, atol=1e-6)
     warnings = [str(one) for one in read_scan(scan_folder).diagnostics]
     assert warnings == [f"the poses are read from {name}, which was found in the scan folder"]
-    # Two files, or one of another count: nobody knows which is meant.
+    # Two candidates, or one with another number of poses, are ambiguous.
     (scan_folder / "other.txt").write_text("0 0 0 0 0 0 1\n" * 2)
     assert read_scan(scan_folder, complete=False).missing
     (scan_folder / "other.txt").unlink()
@@ -337,7 +337,7 @@ def test_poses_beside_the_images_are_found_under_any_name(scan_folder, tiny, nam
     assert read_scan(scan_folder, complete=False).missing
 
 
-def test_camera_and_poses_as_arrays_beside_the_images(scan_folder, tiny):
+def test_camera_and_poses_as_array_files(scan_folder, tiny):
     for name in ("trajectory.log", "intrinsic.json"):
         (scan_folder / name).unlink(missing_ok=True)
     np.save(scan_folder / "K.npy", np.array([[100.0, 0, 16], [0, 100, 12], [0, 0, 1]]))
@@ -347,7 +347,7 @@ def test_camera_and_poses_as_arrays_beside_the_images(scan_folder, tiny):
         "the poses are read from poses.npy, which was found in the scan folder",
         "the camera is read from K.npy, which was found next to the images",
     ]
-    # An array of something else is no camera, and nothing is said of it.
+    # Other arrays are ignored without a warning.
     np.save(scan_folder / "other.npy", np.zeros((7, 2)))
     assert len(read_scan(scan_folder).diagnostics) == 2
 
@@ -360,7 +360,7 @@ def test_camera_and_poses_as_arrays_beside_the_images(scan_folder, tiny):
         ((256, 192), 187, "a phone's LiDAR"),
     ],
 )
-def test_without_intrinsics_the_size_of_depth_maps_tells_the_device(tmp_path, tiny, size, focal, device):
+def test_without_intrinsics_the_device_is_guessed_from_the_depth_size(tmp_path, tiny, size, focal, device):
     for folder in ("color", "depth"):
         (tmp_path / folder).mkdir()
     for i in range(2):

@@ -16,7 +16,7 @@ def scan_folder(tmp_path, tiny):
     for number in (0, 2):
         tiny.color(folder / "results" / f"frame{number:06d}.jpg")
         tiny.depth(folder / "results" / f"depth{number:06d}.png", UNITS)
-    # A pose for every image of the whole; frame 1 is not in the excerpt.
+    # A pose for every image of the full sequence; frame 1 is not in the excerpt.
     rows = [tiny.identity.ravel(), np.eye(4).ravel(), tiny.second.ravel()]
     (folder / "traj.txt").write_text("\n".join(" ".join(f"{v:.9e}" for v in row) for row in rows) + "\n")
     camera = {"w": 32, "h": 24, "fx": 100, "fy": 100, "cx": 16, "cy": 12, "scale": UNITS}
@@ -34,7 +34,7 @@ def assert_known_points(folder, tiny, **options):
 
 
 def test_known_points_come_out_in_the_world(scan_folder, tiny):
-    # Two of the three poses are used, which is told, and nothing else is odd.
+    # Two of three poses are used, which is the only report.
     found = assert_known_points(scan_folder, tiny).diagnostics
     said = "it holds 3 poses for 2 frames; they are assigned by the number in each frame's name"
     assert [str(one) for one in found] == [f"{scan_folder / 'traj.txt'}: {said}"]
@@ -54,12 +54,12 @@ def test_the_scale_of_the_camera_file_is_used(scan_folder, tiny):
     assert_known_points(scan_folder, tiny)
 
 
-def test_without_a_camera_file_the_data_sets_own_is_used_and_said(scan_folder, tiny):
+def test_without_a_camera_file_the_known_camera_is_used_and_reported(scan_folder, tiny):
     (scan_folder / "cam_params.json").unlink()
     assert_known_points(scan_folder, tiny, intrinsics=tiny.option)
     scan = read_scan(scan_folder)
     camera = scan.frames[0].camera
-    # 1200×680 made 32×24: 37.5 times smaller across, 28.33 times down.
+    # 1200×680 reduced to 32×24: 37.5 times smaller in width, 28.33 times in height.
     expected = (16, 600 * 24 / 680, 15.5, 11.5)
     np.testing.assert_allclose((camera.fx, camera.fy, camera.cx, camera.cy), expected)
     assert any("cam_params.json" in text for text in map(str, scan.diagnostics))

@@ -60,7 +60,7 @@ def test_known_points_come_out_in_the_world(scan_folder, tiny):
     assert read_depth(scan.frames[0])[0, 1] == 0
 
 
-def test_what_is_written_is_read_back(tmp_path, tiny):
+def test_a_written_scan_is_read_back(tmp_path, tiny):
     usual = Camera(32, 24, 101.5, 99.25, 15.5, 11.5, (0.1, -0.2, 0.003, 0.004))
     own = Camera(32, 24, 50, 50, 16, 12)
     large = Camera(64, 48, 200, 200, 32, 24)
@@ -86,7 +86,7 @@ def test_what_is_written_is_read_back(tmp_path, tiny):
             assert np.array_equal(one, other) if isinstance(other, np.ndarray) else one == other, field.name
 
 
-def test_what_is_up_may_be_stated_by_hand(scan_folder):
+def test_the_up_direction_can_be_given_in_the_file(scan_folder):
     change(scan_folder, up=[0, 0, 2])
     scan = read_scan(scan_folder)
     assert (scan.up, scan.is_metric) == (WorldUp((0.0, 0.0, 1.0), "scan.json"), True)
@@ -162,7 +162,7 @@ def test_images_in_memory_cannot_be_written(tmp_path):
         ({"depth_missing": ["x"]}, "depth_missing"),
     ],
 )
-def test_damaged_documents_are_told(scan_folder, values, message):
+def test_damaged_documents_are_reported(scan_folder, values, message):
     change(scan_folder, **values)
     with pytest.raises(InputError, match=message):
         read_scan(scan_folder)
@@ -188,14 +188,14 @@ def test_damaged_documents_are_told(scan_folder, values, message):
         ({"world_from_camera": np.diag((1.0, 1, 1.1, 1)).tolist()}, "frame b.*not rigid"),
     ],
 )
-def test_damaged_frames_are_told(scan_folder, values, message):
+def test_damaged_frames_are_reported(scan_folder, values, message):
     change_frame(scan_folder, 1, **values)
     with pytest.raises(InputError, match=message):
         read_scan(scan_folder)
 
 
 @pytest.mark.parametrize("text", ["", "{", "[" * 100_000, "\x00", '{"version": 1e999999}', "null"])
-def test_what_is_no_json_is_told(scan_folder, text):
+def test_invalid_json_is_reported(scan_folder, text):
     (scan_folder / "scan.json").write_text(text)
     with pytest.raises(InputError, match=r"scan\.json"):
         read_scan(scan_folder)

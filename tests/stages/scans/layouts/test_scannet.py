@@ -10,14 +10,14 @@ from scanloom.stages.scans.model.images import read_depth
 from scanloom.stages.scans.params import ScanParams
 from scanloom.stages.scans.reader import read_scan
 
-# The colour camera sees the same view, three times as large and from a centre that is not the image's: the
-# known pixel (26, 17) lies at 300 · (0.1, 0.05) + (50, 33) = (80, 48) of its images.
+# The colour camera has the same view at three times the resolution and an off-centre principal point: the
+# known pixel (26, 17) is at 300 · (0.1, 0.05) + (50, 33) = (80, 48) in its images.
 COLOR_MATRIX = "300 0 50 0\n0 300 33 0\n0 0 1 0\n0 0 0 1\n"
 COLOR_SIZE = (96, 72)
 
 
 def marked_color(path, at=(80, 48)):
-    """Black but for a green patch around the place the known pixel shows."""
+    """Write a black image with a green patch at the known pixel."""
     path.parent.mkdir(parents=True, exist_ok=True)
     image = np.zeros((COLOR_SIZE[1], COLOR_SIZE[0], 3), np.uint8)
     image[at[1] - 4 : at[1] + 5, at[0] - 4 : at[0] + 5] = (0, 255, 0)
@@ -74,7 +74,7 @@ def test_colour_is_found_through_its_own_camera(scan_folder):
 
 
 def test_intrinsics_of_the_larger_original_are_scaled(scan_folder):
-    # As where colour was made 96×72 out of 1296×968: 13.5 and 13.444 times the numbers.
+    # Like colour reduced from 1296×968 to 96×72: the numbers are 13.5 and 13.444 times as large.
     (scan_folder / "intrinsic" / "intrinsic_color.txt").write_text(
         "4050 0 681.25\n0 4033.3333 449.88889\n0 0 1\n"
     )
@@ -88,7 +88,7 @@ def test_intrinsics_of_the_larger_original_are_scaled(scan_folder):
     assert any("1296×968" in text for text in map(str, scan.diagnostics))
 
 
-def test_without_a_colour_camera_colour_shows_what_depth_shows(scan_folder):
+def test_without_a_colour_camera_colour_is_aligned_with_depth(scan_folder):
     (scan_folder / "intrinsic" / "intrinsic_color.txt").unlink()
     scan = read_scan(scan_folder)
     assert scan.frames[0].color_camera is None
@@ -135,7 +135,7 @@ def test_intrinsics_that_are_missing_are_guessed_or_stated(scan_folder, tiny):
     np.testing.assert_allclose([tiny.seen(frame) for frame in frames], tiny.points, atol=1e-6)
 
 
-def test_extrinsics_that_are_not_the_identity_are_told(scan_folder, tiny, matrix_text):
+def test_extrinsics_that_are_not_the_identity_are_reported(scan_folder, tiny, matrix_text):
     (scan_folder / "intrinsic" / "extrinsic_color.txt").write_text(matrix_text(tiny.second))
     assert any("extrinsic_color" in text for text in map(str, read_scan(scan_folder).diagnostics))
 

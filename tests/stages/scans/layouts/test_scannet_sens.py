@@ -12,7 +12,7 @@ from scanloom.stages.scans.params import ScanParams
 from scanloom.stages.scans.reader import read_scan
 
 UNITS = 500
-# The known pixel (26, 17) lies at 300 · (0.1, 0.05) + (50, 33) = (80, 48) of the colour images.
+# The known pixel (26, 17) is at 300 · (0.1, 0.05) + (50, 33) = (80, 48) in the colour images.
 COLOR_MATRIX = np.array([[300, 0, 50, 0], [0, 300, 33, 0], [0, 0, 1, 0], [0, 0, 0, 1.0]])
 DEPTH_MATRIX = np.array([[100, 0, 16, 0], [0, 100, 12, 0], [0, 0, 1, 0], [0, 0, 0, 1.0]])
 HEADER_BYTES = 4 + 8 + 4 + 4 * 64 + 4 + 4 + 16 + 4 + 8
@@ -52,7 +52,7 @@ def frame(pose, coders=(2, 1)):
 
 
 def content(tiny, coders=(2, 1)):
-    # Frames of the inertial sensor may follow; they are of no use here.
+    # IMU samples may follow and are ignored.
     return header(coders=coders) + frame(tiny.identity, coders) + frame(tiny.second, coders) + bytes(8)
 
 
@@ -232,7 +232,7 @@ def test_the_axes_are_aligned_on_request_only(tmp_path, tiny):
         ("axisAlignment = " + " ".join(["nan"] * 16), r"scene0000_00\.txt.*NaN or infinity"),
     ],
 )
-def test_a_wrong_alignment_is_told(tmp_path, tiny, text, message):
+def test_a_wrong_alignment_is_reported(tmp_path, tiny, text, message):
     written(tmp_path, content(tiny))
     (tmp_path / "scene0000_00.txt").write_text(text)
     assert read_scan(tmp_path).frames

@@ -39,7 +39,7 @@ def test_colour_is_rgb(scan_folder):
     assert tuple(read_color(read_scan(scan_folder).frames[0])[0, 0]) == (200, 0, 0)
 
 
-def test_without_intrinsics_the_default_is_used_and_said(scan_folder):
+def test_without_intrinsics_the_default_is_used_and_reported(scan_folder):
     (scan_folder / "camera-intrinsics.txt").unlink()
     scan = read_scan(scan_folder)
     assert scan.frames[0].camera.matrix.tolist() == [[585, 0, 320], [0, 585, 240], [0, 0, 1]]
@@ -87,7 +87,7 @@ def test_bundlefusion_info_gives_camera_and_scale(scan_folder, tiny):
 
 @pytest.mark.parametrize("name", ["info.txt", "_info.txt"])
 def test_larger_colour_of_bundlefusion_has_its_own_camera(scan_folder, name):
-    # The known pixel (26, 17) lies at 300 · (0.1, 0.05) + (50, 33) = (80, 48) of the colour images.
+    # The known pixel (26, 17) is at 300 · (0.1, 0.05) + (50, 33) = (80, 48) in the colour images.
     image = np.zeros((72, 96, 3), np.uint8)
     image[44:53, 76:85] = 255
     for number in (2, 10):
@@ -103,7 +103,7 @@ def test_larger_colour_of_bundlefusion_has_its_own_camera(scan_folder, name):
     assert (rows.mean(), columns.mean()) == (17, 26)
 
 
-def test_registered_colour_needs_no_camera_of_its_own(scan_folder):
+def test_registered_colour_needs_no_separate_camera(scan_folder):
     (scan_folder / "info.txt").write_text(
         "m_colorWidth = 32\nm_colorHeight = 24\n"
         "m_calibrationColorIntrinsic = 100 0 16 0 0 100 12 0 0 0 1 0 0 0 0 1\n"
@@ -207,7 +207,7 @@ def test_red_kitchen(shared_data):
     assert depth.max() < 10
 
 
-def test_tabletop_box_brings_its_own_camera(shared_data):
+def test_tabletop_box_has_a_camera_file(shared_data):
     scan = read_scan(shared_data / "rgbd" / "tabletop_box_realsense")
     assert len(scan.frames) == 25
     assert scan.frames[0].camera.fx == pytest.approx(615.195, abs=1e-3)
@@ -233,7 +233,7 @@ def test_one_damaged_pose_of_many_costs_only_its_frame(scan_folder, tiny, matrix
         read_scan(scan_folder)
 
 
-def test_a_frame_without_its_depth_map_is_told(scan_folder):
+def test_a_frame_without_its_depth_map_is_reported(scan_folder):
     (scan_folder / "frame-000010.depth.png").unlink()
     (left,) = read_scan(scan_folder).skipped_frames
     assert (left.name, left.reason) == ("frame-000010", "its depth map is missing")

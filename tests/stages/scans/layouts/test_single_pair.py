@@ -20,7 +20,7 @@ def test_the_published_calibration_at_a_third_of_the_size(scan_folder, tiny):
     point = (0.2, 0.1, 2.0)
     left = tiny.pixel(point, np.eye(4), scan.rig.left)
     right = tiny.pixel(point, scan.rig.right_from_left, scan.rig.right)
-    # z = f b / (d + dmin), all in pixels of a third of the size.
+    # z = f b / (d + dmin), all in pixels at a third of the size.
     disparity = 3740 / 3 * 0.16 / 2.0 - 240 / 3
     np.testing.assert_allclose(left - right, (disparity, 0), atol=1e-9)
     np.testing.assert_allclose(left, (229.5 + 3740 / 30, 184.5 + 3740 / 60))
@@ -53,7 +53,7 @@ def test_without_dmin_or_of_another_size_the_calibration_is_asked_for(scan_folde
 
 
 @pytest.mark.parametrize("text", ["", "nan", "1 2", "1e9", "x"])
-def test_a_damaged_dmin_is_told(scan_folder, text):
+def test_a_damaged_dmin_is_reported(scan_folder, text):
     (scan_folder / "dmin.txt").write_text(text)
     with pytest.raises(InputError, match=r"dmin\.txt: the file must contain one number"):
         read_scan(scan_folder)

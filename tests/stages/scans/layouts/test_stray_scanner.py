@@ -48,15 +48,15 @@ def test_known_points_come_out_in_the_world(scan_folder, tiny):
     np.testing.assert_allclose(points(scan_folder, tiny), tiny.points, atol=1e-6)
 
 
-def test_colour_is_looked_up_in_its_own_size(scan_folder, tiny):
+def test_colour_is_sampled_at_its_own_resolution(scan_folder, tiny):
     first, second = read_scan(scan_folder).frames
     assert tiny.green_is_at_the_pixel(first)
-    # Its channels are rolled: what was green is something else.
+    # Channels in rotated order: green becomes another colour.
     assert not tiny.green_is_at_the_pixel(second)
 
 
 def test_columns_are_known_by_their_names(scan_folder, tiny):
-    """The old form has no time and no number, and any order will do."""
+    """The old format has no time and no number, and columns in any order."""
     (scan_folder / "odometry.csv").write_text(
         "qw,x,y,z,qx,qy,qz\n1,0,0,0,0,0,0\n0.70710678,1,2,3,0,0.70710678,0\n"
     )
@@ -76,7 +76,7 @@ def test_intrinsics_of_a_row_are_its_own(scan_folder, tiny):
 
 
 def test_the_row_is_the_frame_of_the_video_and_the_number_that_of_the_depth(scan_folder):
-    """Every tenth frame recorded: depth is named by the number, the video has them one after the other."""
+    """Every tenth frame was recorded: depth files have frame numbers, video frames are consecutive."""
     (scan_folder / "odometry.csv").write_text(HEADER + ROWS.replace("000001", "000010"))
     (scan_folder / "depth" / "000001.png").rename(scan_folder / "depth" / "000010.png")
     scan = read_scan(scan_folder)
@@ -100,7 +100,7 @@ def test_depth_of_little_confidence_is_left_out(scan_folder, least, kept):
     )
 
 
-def test_more_confidence_than_there_is_would_leave_nothing(scan_folder):
+def test_a_confidence_bound_above_the_maximum_is_refused(scan_folder):
     with pytest.raises(
         InputError, match="min_confidence is 255, but this layout has only the levels 0, 1, 2"
     ):
@@ -150,13 +150,13 @@ def test_a_damaged_matrix_is_one_sentence(scan_folder, content):
         read_scan(scan_folder)
 
 
-def test_without_its_video_the_reason_is_said(scan_folder):
+def test_without_its_video_the_reason_is_reported(scan_folder):
     (scan_folder / "rgb.mp4").unlink()
     with pytest.raises(InputError, match=r"rgb\.mp4 is missing"):
         read_scan(scan_folder)
 
 
-def test_without_depth_the_reason_is_said(scan_folder):
+def test_without_depth_the_reason_is_reported(scan_folder):
     for file in (scan_folder / "depth").iterdir():
         file.unlink()
     with pytest.raises(InputError, match=r"this layout requires depth"):
@@ -173,7 +173,7 @@ IMU = "timestamp, a_x, a_y, a_z, alpha_x, alpha_y, alpha_z\n"
 
 
 def other_poses(folder):
-    """A world without a known up: the first camera's."""
+    """A world without known up direction: the frame of the first camera."""
     (folder / "found.txt").write_text("000000 0 0 0 0 0 0 1\n000001 0 0 1 0 0 0 1\n")
     return ScanParams(poses="found.txt")
 
@@ -185,21 +185,21 @@ def readings(x, y, z):
 @pytest.mark.parametrize(
     ("reading", "up"),
     [
-        # In g: held upright, the camera's image lies on its side, with what is up to the left.
+        # In units of g: the phone is upright, so the image is rotated, and up is on its left side.
         ((0, -1, 0), (-1, 0, 0)),
-        # The right side of the phone up, as its images stand upright.
+        # The right side of the phone is up, so its images are upright.
         ((-1, 0, 0), (0, -1, 0)),
-        # On its back, in m/s² of older versions: the camera looks at the table.
+        # The phone is on its back, in m/s² of older versions: the camera faces the table.
         ((0, 0, -9.81), (0, 0, -1)),
     ],
 )
-def test_the_accelerometer_tells_what_is_up_with_other_poses(scan_folder, reading, up):
+def test_the_accelerometer_gives_up_for_user_poses(scan_folder, reading, up):
     (scan_folder / "imu.csv").write_text(readings(*reading))
     for frame in read_scan(scan_folder, other_poses(scan_folder)).frames:
         np.testing.assert_allclose(frame.up, up, atol=1e-12)
 
 
-def test_the_poses_of_the_phone_tell_it_better(scan_folder):
+def test_poses_of_the_phone_have_priority_over_the_accelerometer(scan_folder):
     (scan_folder / "imu.csv").write_text(readings(0, 0, -1))
     scan = read_scan(scan_folder)
     assert not any("imu.csv" in warning for warning in map(str, scan.diagnostics))
@@ -215,7 +215,7 @@ def test_the_poses_of_the_phone_tell_it_better(scan_folder):
         (readings(0, -0.3, 0), "which is not gravity: it is not used"),
     ],
 )
-def test_what_is_wrong_with_the_accelerometer_is_said_and_the_scan_goes_on(scan_folder, text, said):
+def test_invalid_accelerometer_data_is_reported_and_ignored(scan_folder, text, said):
     (scan_folder / "imu.csv").write_text(text)
     scan = read_scan(scan_folder, other_poses(scan_folder))
     assert len(scan.frames) == 2

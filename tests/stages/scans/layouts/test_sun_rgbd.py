@@ -25,7 +25,7 @@ def scan_folder(tmp_path, tiny):
     write_rotated(tmp_path / "depth" / "0001170-000039188214.png", 2000)
     (tmp_path / "intrinsics.txt").write_text("100 0 16 0 100 12 0 0 1")
     (tmp_path / "extrinsics").mkdir()
-    # How the camera was tilted; it is no place in a world.
+    # Tilt of the camera, not a pose.
     (tmp_path / "extrinsics" / "20150118235401.txt").write_text("1 0 0 0\n0 0.8 -0.6 0\n0 0.6 0.8 0\n")
     return tmp_path
 
@@ -51,7 +51,7 @@ def test_sequences_take_the_latest_poses(scan_folder, tiny):
     np.testing.assert_allclose([tiny.seen(frame) for frame in frames], tiny.points, atol=1e-6)
 
 
-def test_plain_values_are_told_and_read(scan_folder):
+def test_plain_values_are_reported_and_read(scan_folder):
     millimetres = np.arange(1000, 1768, dtype=np.uint16).reshape(24, 32)
     cv2.imwrite(str(scan_folder / "depth" / "0001170-000039188214.png"), millimetres)
     scan = read_scan(scan_folder)
@@ -59,7 +59,7 @@ def test_plain_values_are_told_and_read(scan_folder):
     assert any("not stored with rotated bits" in text for text in map(str, scan.diagnostics))
 
 
-def test_a_sequence_without_poses_says_so(scan_folder, tiny):
+def test_a_sequence_without_poses_is_reported(scan_folder, tiny):
     tiny.color(scan_folder / "image" / "0001171-000039216598.jpg")
     write_rotated(scan_folder / "depth" / "0001171-000039221582.png", 2000)
     (scan_folder / "extrinsics" / "20150118235401.txt").unlink()
@@ -94,7 +94,7 @@ def test_a_real_frame(shared_data, tmp_path):
     (tmp_path / "depth" / "1.png").symlink_to(source / "SUN_depth.png")
     (tmp_path / "intrinsics.txt").write_text("529.5 0 365 0 529.5 265 0 0 1")
     depth = read_depth(read_scan(tmp_path).frames[0])
-    # What Open3D makes of the same file.
+    # Values of Open3D for the same file.
     np.testing.assert_allclose(np.percentile(depth, (50, 99)), (2.349, 8.626), atol=0.01)
 
 
@@ -102,7 +102,7 @@ def test_streams_of_a_sequence_are_paired_by_time_and_posed_by_image(scan_folder
     for folder in ("image", "depth"):
         for path in (scan_folder / folder).iterdir():
             path.unlink()
-    # One depth map was lost, so that the numbers no longer agree; the last image has none near it.
+    # A depth map is missing, so the numbers do not match; the last image has no depth map close in time.
     for name in (
         "0000001-000000000000",
         "0000002-000000033000",

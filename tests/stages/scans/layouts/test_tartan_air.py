@@ -36,13 +36,13 @@ def test_known_points_come_out_in_the_world(scan_folder, tiny):
         assert read_depth(frame)[0, :3].tolist() == [0, 0, 2]
 
 
-def test_the_camera_is_the_data_sets_own(scan_folder):
+def test_the_camera_is_the_known_one_of_the_data_set(scan_folder):
     camera = read_scan(scan_folder).frames[0].camera
     numbers = (camera.fx, camera.fy, camera.cx, camera.cy)
     np.testing.assert_allclose(numbers, (16, 16, 15.525, 11.525))
 
 
-def test_the_right_images_stand_in_for_depth(scan_folder, tiny):
+def test_right_images_replace_missing_depth(scan_folder, tiny):
     for path in (scan_folder / "depth_left").iterdir():
         path.unlink()
     (scan_folder / "depth_left").rmdir()
@@ -73,7 +73,7 @@ def test_neither_depth_nor_right_images(scan_folder):
         read_scan(scan_folder)
 
 
-def test_a_trajectory_of_ones_own_has_opencv_axes(scan_folder, tiny, matrix_text):
+def test_a_user_trajectory_has_opencv_axes(scan_folder, tiny, matrix_text):
     (scan_folder / "mine.log").write_text(
         "0 0 1\n" + matrix_text(tiny.identity) + "1 1 2\n" + matrix_text(tiny.second)
     )
@@ -88,7 +88,7 @@ def second_version(tmp_path, tiny):
         tiny.color(tmp_path / "image_lcam_front" / f"{number:06d}_lcam_front.png")
         depth = np.full((24, 32), 2, "<f4")
         depth[0, :4] = np.inf, 20000, 1.1, 0
-        # The lowest byte is blue, the first channel in OpenCV's order.
+        # The lowest byte is blue, the first channel in OpenCV.
         bytes_of = depth.view(np.uint8).reshape(24, 32, 4)
         path = tmp_path / "depth_lcam_front" / f"{number:06d}_lcam_front_depth.png"
         assert cv2.imwrite(str(path), bytes_of)
@@ -104,7 +104,7 @@ def test_the_second_version_packs_depth_in_four_channels(second_version, tiny):
         np.testing.assert_array_equal(read_depth(frame)[0, :5], np.float32([0, 0, 1.1, 0, 2]))
 
 
-def test_the_second_version_has_a_camera_of_its_own(second_version):
+def test_the_second_version_has_another_camera(second_version):
     for path in (second_version / "image_lcam_front").iterdir():
         cv2.imwrite(str(path), np.zeros((640, 640, 3), np.uint8))
     camera = read_scan(second_version).frames[0].camera

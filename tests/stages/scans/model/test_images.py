@@ -37,7 +37,7 @@ def test_grey_and_transparent_images_become_rgb(tmp_path):
     assert read_right(frame(right=tmp_path / "bgra.png"))[0, 0].tolist() == [3, 2, 1]
 
 
-def test_images_that_are_not_there_are_none():
+def test_missing_images_are_none():
     assert read_color(frame()) is None
     assert read_right(frame()) is None
     assert read_depth(frame()) is None
@@ -51,7 +51,7 @@ def test_depth_in_memory_is_cleaned():
 
 
 @pytest.mark.parametrize("suffix", [".png", ".jpg"])
-def test_an_image_cut_short_is_told(tmp_path, suffix):
+def test_an_image_cut_short_is_reported(tmp_path, suffix):
     path = tmp_path / f"a{suffix}"
     cv2.imwrite(str(path), np.random.default_rng(0).integers(0, 255, (240, 320, 3), np.uint8))
     path.write_bytes(path.read_bytes()[:20_000])
@@ -83,7 +83,7 @@ def test_a_giant_map_is_refused(tmp_path):
 
 
 @pytest.mark.parametrize("content", [b"", b"hello", b"\xff\xd8\xff", b"\x89PNG\r\n\x1a\n"])
-def test_what_is_no_image_is_told(tmp_path, content):
+def test_a_file_that_is_not_an_image_is_reported(tmp_path, content):
     path = tmp_path / "a.jpg"
     path.write_bytes(content)
     with pytest.raises(InputError, match=r"a\.jpg: the image"):
@@ -92,7 +92,7 @@ def test_what_is_no_image_is_told(tmp_path, content):
         read_image_size(path)
 
 
-def test_a_missing_image_is_told(tmp_path):
+def test_a_missing_image_is_reported(tmp_path):
     with pytest.raises(InputError, match=r"gone\.png: the image cannot be opened"):
         read_color(frame(color=tmp_path / "gone.png"))
 
@@ -108,13 +108,13 @@ def test_bits_and_channels_are_not_mixed_up(tmp_path):
         read_depth(frame(depth=tmp_path / "shallow.png"))
 
 
-def test_depth_of_another_size_is_told(tmp_path):
+def test_depth_of_another_size_is_reported(tmp_path):
     cv2.imwrite(str(tmp_path / "a.png"), np.zeros((48, 64), np.uint16))
     with pytest.raises(InputError, match=r"a\.png: the image is 64×48 px, .* 32×24 px"):
         read_depth(frame(depth=tmp_path / "a.png"))
 
 
-def test_damaged_arrays_are_told(tmp_path):
+def test_damaged_arrays_are_reported(tmp_path):
     path = tmp_path / "a.npy"
     np.save(path, np.ones((24, 32), np.float32))
     data = path.read_bytes()
@@ -136,7 +136,7 @@ def test_damaged_arrays_are_told(tmp_path):
 
 
 def test_distortion_of_rgbd_frames_is_removed(tmp_path):
-    """A dot drawn where the lens puts it is read where a pinhole would have put it."""
+    """A dot at the distorted position is read at the pinhole position."""
     camera = Camera(320, 240, 200, 200, 160, 120, (-0.3, 0.1, 0.001, 0.002))
     ray = np.array([[[0.6, -0.4, 1.0]]])
     projected, _ = cv2.projectPoints(
@@ -161,7 +161,7 @@ def test_distortion_of_rgbd_frames_is_removed(tmp_path):
     np.testing.assert_array_equal(read_color(pair), color)
 
 
-def test_what_a_mask_shows_is_depth_and_seen():
+def test_masked_pixels_have_no_depth_and_are_invalid():
     camera = Camera(8, 6, 10, 10, 3.5, 2.5)
     mask = np.zeros((12, 16, 3), np.uint8)
     mask[:, 8:, 1] = 1
@@ -172,16 +172,17 @@ def test_what_a_mask_shows_is_depth_and_seen():
         read_valid_pixels(replace(frame, mask=mask.astype(np.uint16)))
 
 
-def test_what_lies_beyond_the_edge_of_a_distorted_image_is_not_seen():
-    """Pincushion distortion: the corners of the pinhole image lie outside of the one that was taken."""
+def test_pixels_beyond_a_distorted_image_are_invalid():
+    """Pincushion distortion: the corners of the pinhole image are outside the recorded image."""
     bent = Camera(64, 48, 60, 60, 31.5, 23.5, (0.5, 0, 0, 0))
     seen = read_valid_pixels(Frame("a", bent))
-    # (x, y) = (31.5, 23.5) / 60 is seen at 1 + 0.5 r² of that, 12 % farther out: 3.8 px beyond the edge.
+    # (x, y) = (31.5, 23.5) / 60 is projected 1 + 0.5 r² times as far, 12 % farther out: 3.8 px beyond the
+    # border.
     assert not seen[[0, 0, -1, -1], [0, -1, 0, -1]].any()
     assert seen[8:40, 8:56].all()
     assert read_valid_pixels(Frame("a", replace(bent, distortion=()))).all()
 
 
-def test_a_name_no_file_can_have_is_told(tmp_path):
+def test_an_impossible_file_name_is_reported(tmp_path):
     with pytest.raises(InputError, match="cannot be opened"):
         read_color(frame(color=tmp_path / "a\0b.png"))

@@ -1,4 +1,4 @@
-"""Rows that are read one after the other come out as if all were read at once, from the middle row's pose."""
+"""Rolling shutter images are corrected to the pose of the middle row."""
 
 from dataclasses import replace
 
@@ -18,18 +18,18 @@ from scanloom.stages.scans.model.scan import Camera, Frame
 
 TURN = np.radians((2.0, -3.0, 1.5))
 STAND = pose(0.5, 0.5, z=-0.6, turn=5)
-# Of the middle: what lies beyond the border was not seen.
+# The inner part: pixels near the border may be unseen.
 INNER = np.s_[12:-12, 12:-12]
 
 
 def still() -> tuple[np.ndarray, np.ndarray]:
-    """Return what the wall looks like from the middle row's pose, and how deep it is."""
+    """Render the wall from the pose of the middle row: colours and depth."""
     x, y, depth = intersect_plane(STAND)
     return paint(x, y), depth
 
 
 def bent(camera: Camera) -> Frame:
-    """Return a rolling photo by a camera with distortion."""
+    """Render a rolling shutter photo of a camera with distortion."""
     v, u = np.mgrid[: camera.height, : camera.width].astype(np.float64)
     pixels = np.stack([u.ravel(), v.ravel()], axis=1)[:, None]
     of = cv2.fisheye.undistortPoints if camera.fisheye else cv2.undistortPoints
@@ -53,14 +53,14 @@ def bent(camera: Camera) -> Frame:
     ],
     ids=["pinhole", "distorted", "fisheye"],
 )
-def test_a_rolling_image_shows_what_a_still_one_would(frame):
+def test_a_corrected_image_equals_a_global_shutter_image(frame):
     levels, depth = still()
     for image in (read_color(frame), read_photo(frame)[0]):
         off = np.abs(image - levels)[INNER]
         assert np.median(off) < 2
         assert np.percentile(off, 99) < 8
     measured = read_depth(frame)[INNER]
-    # The nearest pixel is taken; half of one is 2 mm here.
+    # Depth is sampled at the nearest pixel; half a pixel is 2 mm here.
     assert np.abs(measured - depth[INNER])[measured > 0].max() < 0.003
     assert (measured > 0).mean() > 0.95
 
@@ -72,7 +72,7 @@ def test_without_its_turn_it_does_not():
     assert np.abs(read_depth(frame) - depth)[INNER].max() > 0.009
 
 
-def test_what_was_not_seen_is_no_depth_and_does_not_count():
+def test_unseen_pixels_have_no_depth_and_are_invalid():
     frame = replace(photo(0, STAND, turn=TURN), shutter_turn=3 * TURN)
     _, _, seen = read_photo(frame)
     assert 0.6 < seen.mean() < 0.98
@@ -87,15 +87,16 @@ def test_a_view_without_depth_and_its_mask_turn_as_well():
     assert np.median(np.abs(read_pinhole(view) - levels)[INNER]) < 2
     _, _, shown = read_photo(view)
     np.testing.assert_array_equal(read_valid_pixels(view), shown)
-    # The straight edge of the mask was not sheared with the image: it is, where that is put right.
+    # The mask has a straight edge in the distorted image, so the corrected edge is sheared.
     edge = [np.flatnonzero(row).max() for row in read_valid_pixels(view)[12:-12]]
     assert np.ptp(edge) >= 5
 
 
-def test_a_colour_camera_beside_turns_with_the_depth_camera():
+def test_a_separate_colour_camera_rotates_with_the_depth_camera():
     aside = np.eye(4)
     aside[:3, :3] = cv2.Rodrigues(np.radians((0.0, 0.0, 90.0)))[0]
-    # Its own axes lie a quarter turn from those of the depth camera, where nothing was turned.
+    # The colour camera is rotated by 90° relative to the depth camera, so its rotation vector is rotated,
+    # too.
     frame = photo(0, STAND, turn=aside[:3, :3] @ TURN)
     frame = replace(frame, color_camera=CAMERA, color_from_depth=aside, shutter_turn=TURN)
     levels, _ = still()

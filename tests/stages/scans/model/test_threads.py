@@ -1,4 +1,4 @@
-"""How many threads are used is said once, for our own code, the kernels and the libraries."""
+"""The number of threads is set in one place for our code, the kernels and the libraries."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import pytest
 from scanloom.stages.scans.model.prefetch import get_worker_count, map_ordered, run_concurrently
 from scanloom.stages.scans.model.threads import THREADS_VARIABLE, build_thread_environment, get_thread_count
 
-# Threads while a mesh is simplified, at the most, and the result.
+# Prints the maximum number of threads during simplification, and the result.
 SCRIPT = """
 import hashlib, threading, time
 from pathlib import Path
@@ -46,20 +46,22 @@ print(most - before, hashlib.sha256(light.vertices.tobytes()).hexdigest())
     ("said", "meant"),
     [("1", 1), ("7", 7), ("0", None), ("-1", None), ("many", None), ("", None), ("²", None)],
 )
-def test_what_is_said_counts_if_it_is_a_number(monkeypatch: pytest.MonkeyPatch, said: str, meant: int | None):
+def test_the_thread_variable_is_used_if_it_is_a_number(
+    monkeypatch: pytest.MonkeyPatch, said: str, meant: int | None
+):
     monkeypatch.setenv(THREADS_VARIABLE, said)
     assert get_thread_count() == (meant or os.cpu_count())
     assert get_worker_count() <= get_thread_count()
 
 
-def test_libraries_are_told_by_their_own_names():
+def test_libraries_get_their_own_thread_variables():
     told = build_thread_environment(3)
     assert set(told.values()) == {"3"}
     assert {THREADS_VARIABLE, "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"} <= told.keys()
 
 
 @pytest.mark.parametrize(("said", "others"), [("1", False), ("2", True)])
-def test_with_one_thread_nothing_goes_on_beside(monkeypatch: pytest.MonkeyPatch, said: str, others: bool):
+def test_with_one_thread_nothing_runs_concurrently(monkeypatch: pytest.MonkeyPatch, said: str, others: bool):
     monkeypatch.setenv(THREADS_VARIABLE, said)
     beside, here = run_concurrently(threading.get_ident, threading.get_ident)
     assert (beside != here) is others
@@ -76,7 +78,7 @@ def test_one_thread_that_works_ahead_is_the_callers(threads: int, others: bool):
 
 
 @pytest.mark.parametrize("threads", [1, 3])
-def test_what_fails_ahead_is_raised_in_its_turn(threads: int):
+def test_an_error_is_raised_in_the_order_of_items(threads: int):
     results = map_ordered(lambda item: 6 // (3 - item), range(9), threads=threads, max_pending=5)
     assert list(islice(results, 3)) == [2, 3, 6]
     with pytest.raises(ZeroDivisionError):
@@ -96,7 +98,7 @@ def test_the_kernels_use_as_many_and_come_to_the_same():
             check=True,
         )
         found[count] = done.stdout.split()
-    # That which counts, and that which the caller waits for; of six, the caller's work is one's.
+    # A sampling thread and a waiting main thread are included; of six workers, one is the calling thread.
     assert int(found["1"][0]) <= 3
     assert int(found["6"][0]) >= 6
     assert found["1"][1] == found["6"][1]

@@ -13,7 +13,7 @@ COUNT = 40
 
 @pytest.fixture
 def path(tmp_path):
-    """Frame n has n in six bits, a white or black column each, over a red ground."""
+    """Write a video whose frames encode their number in six black or white columns, on red."""
     writer = cv2.VideoWriter(
         str(tmp_path / "a.mp4"), cv2.CAP_FFMPEG, cv2.VideoWriter_fourcc(*"mp4v"), 30, (64, 48)
     )
@@ -40,7 +40,7 @@ def test_a_frame_is_had_by_its_number_in_any_order(path, monkeypatch):
     np.testing.assert_allclose(opened.read_frame(7)[44, 60], (255, 0, 0), atol=12)
 
 
-def test_what_a_caller_does_to_a_frame_stays_with_him(path):
+def test_changing_a_frame_does_not_affect_the_cache(path):
     opened = Video(path)
     opened.read_frame(3)[:] = 0
     assert number_of(opened.read_frame(3)) == 3
@@ -54,7 +54,7 @@ def test_threads_get_the_frames_they_asked_for(path, monkeypatch):
         assert [number_of(image) for image in threads.map(opened.read_frame, order)] == order
 
 
-def test_a_frame_beyond_the_end_is_told_every_time_and_the_others_stay(path):
+def test_a_frame_beyond_the_end_is_always_an_error(path):
     opened = Video(path)
     for number in (COUNT, COUNT + 5, COUNT):
         with pytest.raises(InputError, match=rf"a\.mp4: frame {number} is missing: .* after {COUNT} frames"):
@@ -62,7 +62,7 @@ def test_a_frame_beyond_the_end_is_told_every_time_and_the_others_stay(path):
     assert number_of(opened.read_frame(3)) == 3
 
 
-def test_what_is_no_video_is_told(path):
+def test_a_file_that_is_not_a_video_is_reported(path):
     data = path.read_bytes()
     for content in (
         b"",

@@ -1,4 +1,4 @@
-"""ROS 1 bags as files: no bags, encrypted, not closed, damaged."""
+"""Invalid ROS 1 bags: other files, encrypted, unclosed, damaged."""
 
 import random
 
@@ -48,13 +48,13 @@ def test_an_encrypted_bag(tmp_path):
         read_scan(file)
 
 
-def test_a_recording_that_was_not_closed_keeps_what_came_before(tmp_path):
+def test_an_unclosed_recording_keeps_its_complete_messages(tmp_path):
     made = recording(streams=[depth_stream(4), color_stream(4)], compression="lz4")
     file = made.write(tmp_path / "take.bag")
     data = file.read_bytes()
     whole, warnings = summarise_scan(file)
     assert (len(whole), warnings) == (4, 0)
-    # Without the summary at the end: what is left when the recorder dies after the last chunk.
+    # Without the summary at the end, like after a crash of the recorder after the last chunk.
     summary = int.from_bytes(data[data.index(b"index_pos=") + 10 :][:8], "little")
     file.write_bytes(data[:summary])
     assert summarise_scan(file) == (whole, 0)
@@ -74,7 +74,7 @@ def test_a_recording_that_was_not_closed_keeps_what_came_before(tmp_path):
 def test_damaged_bytes_are_refused_or_cost_frames(tmp_path, compression):
     file = recording(compression=compression).write(tmp_path / "take.bag")
     data = file.read_bytes()
-    # The padding of the first record holds nothing.
+    # The padding of the first record is unused.
     places = [*range(13, 100), *range(4109, len(data))]
     chosen = random.Random(7)
     refused = 0

@@ -1,4 +1,4 @@
-"""Chunks that unpack to more than they state, whatever they are packed with."""
+"""Chunks that decompress to more than their stated size, for each compression."""
 
 import bz2
 import sys

@@ -1,4 +1,4 @@
-"""Streams with clocks of their own: which images are of one moment, and which pose is theirs."""
+"""Streams with separate clocks: assignment of images and poses by time."""
 
 import numpy as np
 import pytest
@@ -20,9 +20,9 @@ from scanloom.stages.scans.params import ScanParams
 from scanloom.stages.scans.reader import read_scan
 
 
-def test_images_of_one_moment_are_paired_whatever_was_dropped(tmp_path):
+def test_simultaneous_images_are_paired_despite_dropped_frames(tmp_path):
     depths = [Image(START + n * INTERVAL, depth_map(1 + n / 10), "mono16") for n in (0, 1, 2, 4, 5)]
-    # The colour camera runs a little ahead, and lost other images; recorded in another order.
+    # The colour camera is slightly ahead and lost other images; recorded in another order.
     colors = [
         Image(START + n * INTERVAL - 5_000_000, color_image(10 * n), "rgb8", recorded=START + at)
         for at, n in enumerate((3, 0, 2, 1, 5))
@@ -35,7 +35,7 @@ def test_images_of_one_moment_are_paired_whatever_was_dropped(tmp_path):
 
 
 def test_streams_of_other_rates(tmp_path):
-    # The fourth depth map was lost, and the next one shows another moment than the second colour image.
+    # The fourth depth map was lost, and the next one is from another time than the second colour image.
     depths = [Image(START + n * INTERVAL // 3, depth_map(1 + n / 10), "mono16") for n in range(12) if n != 3]
     colors = [Image(START + n * INTERVAL + 1_000_000, color_image(n), "rgb8") for n in range(4)]
     made = recording(streams=[depth_stream(images=depths), color_stream(images=colors)])

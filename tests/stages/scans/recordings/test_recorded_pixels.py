@@ -1,4 +1,4 @@
-"""Images of recordings, whatever their pixels are encoded as."""
+"""Images of recordings in all pixel encodings."""
 
 import numpy as np
 import pytest
@@ -31,7 +31,7 @@ def test_grey_images(tmp_path, encoding):
 
 @pytest.mark.parametrize(("encoding", "places"), [("yuv422", "uyvy"), ("UYVY", "uyvy"), ("YUYV", "yuyv")])
 def test_colours_in_half_resolution(tmp_path, encoding, places):
-    # Video's red: luma 81, chroma 90 and 240.
+    # Red in video colour space: luma 81, chroma 90 and 240.
     row = [{"u": 90, "v": 240}.get(letter, 81) for letter in places] * 24
     images = [Image(START, np.tile(np.array(row, np.uint8).reshape(1, 48, 2), (64, 1, 1)), encoding)]
     file = recording(streams=[depth_stream(1), color_stream(images=images)]).write(tmp_path / "take.bag")

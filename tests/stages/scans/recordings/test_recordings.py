@@ -1,4 +1,4 @@
-"""Ordinary recordings of ROS 1 and 2: which topics are depth and colour, and where their cameras stand."""
+"""Ordinary ROS 1 and ROS 2 recordings: choice of depth and colour topics, and camera extrinsics."""
 
 import dataclasses
 import struct
@@ -27,19 +27,19 @@ from scanloom.stages.scans.params import ScanParams
 from scanloom.stages.scans.reader import read_scan
 
 
-def test_a_bag_without_images_says_what_it_holds(tmp_path):
+def test_a_bag_without_images_is_reported_with_its_content(tmp_path):
     others = {"/weather": ("std_msgs/Float32", {"data": 21.0})}
     file = recording(streams=[], units=(), others=others).write(tmp_path / "take.bag")
     with pytest.raises(InputError, match=r"take\.bag: the recording has neither depth images .*/weather"):
         read_scan(file)
 
 
-# How a recording is written: ROS 1's bag, and each storage of ROS 2 with what may be packed in it.
+# Forms of a recording: ROS 1 bag, and each ROS 2 storage with its kinds of compression.
 FORMS = ["bag", "sqlite3 none", "sqlite3 message", "mcap none", "mcap message", "mcap storage"]
 
 
 def written(recording, folder, form):
-    """The file of a recording in one of the forms."""
+    """Write a recording in one of the forms."""
     return (
         recording.write(folder / "take.bag")
         if form == "bag"
@@ -63,7 +63,7 @@ def test_known_points_and_colours(tmp_path, tiny, form):
 @pytest.mark.parametrize(
     "links", [[], LINKS[:2], [*LINKS, ("color_optical", "base", (0, 0, 0), (0, 0, 0, 1))]]
 )
-def test_frames_that_nothing_joins(tmp_path, links):
+def test_frames_without_transform(tmp_path, links):
     scan = read_scan(ros_bag(links=links).write(tmp_path / "take.bag"), complete=False)
     assert scan.frames[0].color_from_depth is None
     assert ["does not contain the extrinsics" in text for text in list_warnings(scan)] == [True]
@@ -75,7 +75,7 @@ def test_aligned_depth_and_float_depth(tmp_path, form):
     pixels[0, 0] = np.nan
     images = [Image(START, pixels, "32FC1", unit=None, frame="color_optical")]
     depth = ros_depth(name="/cam/aligned_depth_to_color", images=images)
-    # Another depth topic and the colour of another camera are in it, too.
+    # The recording also contains another depth topic and the colour of another camera.
     made_bag = ros_bag(depth)
     made_bag.streams = [ros_color(name="/bar/color"), ros_depth(name="/cam/a_depth"), *made_bag.streams]
     scan = read_scan(written(made_bag, tmp_path, form), complete=False)
@@ -144,7 +144,7 @@ def test_a_ros_camera_that_is_not_known(tmp_path):
 
 
 def drivers(depth, color, frame="color_optical", **others):
-    """A recording of two topics, of cameras that stand in one place if `frame` is that of the colour."""
+    """Make a recording of two topics; the cameras share a pose if `frame` is the frame of colour."""
     maps = [Image(START, depth_map(units=0.001), "16UC1", unit=None, frame=frame)]
     pair = {"intrinsics": (100, 100, 16, 12), "images": maps, "topic": depth.removeprefix("/cam")}
     bag = ros_bag(
@@ -163,7 +163,7 @@ def drivers(depth, color, frame="color_optical", **others):
 @pytest.mark.parametrize(
     ("depth", "colors", "frame", "chosen"),
     [
-        # RealSense's driver, the Kinect's, OAK's and ZED's, in the names that they publish by default.
+        # Default topic names of the drivers of RealSense, Kinect, OAK and ZED.
         ("/cam/aligned_depth_to_color/image_raw", ["/cam/color/image_raw"], "color_optical", 0),
         (
             "/cam/depth_to_rgb/image_raw",
@@ -229,7 +229,7 @@ def test_a_recording_that_was_packed_as_a_file(tmp_path):
     assert read_scan(file.parent, complete=False).frames
 
 
-def test_a_recording_of_other_messages_says_what_it_holds(tmp_path):
+def test_a_recording_of_other_messages_is_reported_with_its_content(tmp_path):
     others = {"/weather": ("std_msgs/Float32", {"data": 21.0})}
     for storage in ("sqlite3", "mcap"):
         file = Recording([], units=(), others=others).write_ros2(tmp_path / storage, storage)
@@ -255,7 +255,7 @@ def test_a_fisheye_colour_camera(tmp_path, said, expected):
 
 
 def test_float_depth_that_is_compressed(tmp_path):
-    """What is stored of a depth z is A / z + B in 16 bits: 2 m is 1000 / 2 + 3 = 503; 0 is missing."""
+    """Depth z is stored as A / z + B in 16 bits: 2 m is 1000 / 2 + 3 = 503; 0 is missing."""
     stored = np.full((24, 32), 503, np.uint16)
     stored[0, 0] = 0
     data = struct.pack("<iff", 0, 1000, 3) + cv2.imencode(".png", stored)[1].tobytes()

@@ -1,4 +1,4 @@
-"""ROS 2's files, damaged: refused in one sentence, or they cost frames."""
+"""Damaged ROS 2 files are refused in one sentence or lose frames."""
 
 import random
 
@@ -66,11 +66,11 @@ def test_files_that_are_cut_short(tmp_path, storage, packed):
         assert kept is None or kept[0] == whole[: len(kept[0])]
 
 
-def test_an_mcap_that_was_not_closed_keeps_what_came_before(tmp_path):
+def test_an_unclosed_mcap_keeps_its_complete_messages(tmp_path):
     file = take(tmp_path, "mcap", "none")
     data = file.read_bytes()
     whole = summarise_scan(file)
-    # The last thing before the summary: DataEnd, whose record is 4 bytes of checksum.
+    # The last record before the summary is DataEnd with a checksum of 4 bytes.
     summary = data.rindex(b"\x0f" + (4).to_bytes(8, "little"))
     file.write_bytes(data[:summary])
     assert summarise_scan(file) == whole
@@ -79,8 +79,8 @@ def test_an_mcap_that_was_not_closed_keeps_what_came_before(tmp_path):
     assert summarise_scan(file)[1] == whole[1] + 1
 
 
-def test_messages_that_stand_in_no_chunk(tmp_path):
-    """Recorders that have to be fast write messages as they come, and neither index nor summary."""
+def test_messages_without_chunk(tmp_path):
+    """Fast recorders write messages directly, without index and summary."""
     file = take(tmp_path, "mcap", "none")
     whole = summarise_scan(file)
     data = file.read_bytes()

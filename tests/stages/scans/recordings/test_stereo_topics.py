@@ -1,4 +1,4 @@
-"""Left and right images of a recording without depth, and the rig that its camera_info makes."""
+"""Stereo recordings without depth, and their rig from camera_info."""
 
 import dataclasses
 
@@ -51,8 +51,8 @@ def test_a_rectified_pair(tmp_path, names):
 
 
 def test_a_pair_as_it_left_the_cameras(tmp_path):
-    # Each camera is turned a little before its rows correspond: a point x of the left camera is at
-    # R_right^T (R_left x - baseline) in the right one.
+    # Rectification rotates each camera: a point x of the left camera is at R_right^T (R_left x - baseline) in
+    # the right camera.
     turns = [Rotation.from_rotvec((0, 0.02, 0)).as_matrix(), Rotation.from_rotvec((0.01, 0, 0)).as_matrix()]
     bent = (0.1, 0, 0, 0, 0)
     said = [
@@ -79,7 +79,7 @@ def test_a_fisheye_pair(tmp_path):
     assert (rig.left.fisheye, rig.right.fisheye, rig.baseline) == (True, True, pytest.approx(BASELINE))
 
 
-def test_a_baseline_that_only_the_tree_of_frames_says(tmp_path):
+def test_a_baseline_from_ros_transforms(tmp_path):
     place = make_message("geometry_msgs/Transform", **make_transform((BASELINE, 0, 0), (0, 0, 0, 1)))
     step = make_message(
         "geometry_msgs/TransformStamped",
@@ -95,7 +95,7 @@ def test_a_baseline_that_only_the_tree_of_frames_says(tmp_path):
     )
 
 
-def test_a_baseline_that_nothing_says(tmp_path):
+def test_a_missing_baseline(tmp_path):
     file = pair(tmp_path, {}, {})
     with pytest.raises(InputError, match=r"the baseline between /cam/left/.* scan\.baseline"):
         read_scan(file, complete=False)
@@ -103,7 +103,7 @@ def test_a_baseline_that_nothing_says(tmp_path):
     np.testing.assert_allclose(rig.right_from_left[:3, 3], (-0.07, 0, 0))
 
 
-def test_what_is_stated_wins(tmp_path):
+def test_given_parameters_win(tmp_path):
     file = pair(tmp_path, {"intrinsics": None}, {"intrinsics": None})
     with pytest.raises(InputError, match=r"the topic /cam/left/camera_info.*scan\.intrinsics"):
         read_scan(file, complete=False)

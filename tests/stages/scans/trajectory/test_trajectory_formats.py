@@ -33,7 +33,7 @@ def turn_about_z(degrees, x=0.0):
     [
         ("kitti.txt", "0 0 1 1 0 1 0 2 -1 0 0 3\n"),
         ("flat.txt", "0 0 1 1 0 1 0 2 -1 0 0 3 0 0 0 1\n"),
-        # World-to-camera, -90 degrees about y.
+        # World-to-camera, -90° about y.
         ("phone.traj", "7.5 0 -1.5707963268 0 3 -2 -1\n"),
         ("rows.txt", "0 0 1 1\n0 1 0 2\n-1 0 0 3\n0 0 0 1\n"),
         ("commas.txt", "# a comment\n\n0, 0, 1, 1, 0, 1, 0, 2, -1, 0, 0, 3\n"),
@@ -76,7 +76,7 @@ def test_matrices_in_one_array(tmp_path, tiny, shape):
         (np.zeros((3, 7)), "poses are expected"),
     ],
 )
-def test_an_array_without_poses_is_told(tmp_path, array, message):
+def test_an_array_without_poses_is_reported(tmp_path, array, message):
     np.save(tmp_path / "poses.npy", array)
     with pytest.raises(InputError, match=rf"poses\.npy: {message}"):
         read_trajectory(tmp_path / "poses.npy")
@@ -129,7 +129,7 @@ def test_a_pose_all_of_one_infinite_mark_is_lost(tmp_path, mark):
         ("a.json", '{"poses": [[[1, 0], [0, 1]]]}', "pose 0 is not a 4x4"),
     ],
 )
-def test_what_is_wrong_is_named_with_its_line(tmp_path, name, text, message):
+def test_errors_are_reported_with_their_line(tmp_path, name, text, message):
     with pytest.raises(InputError, match=rf"{name}: .*{message}|{name}: {message}"):
         read_trajectory(written(tmp_path, name, text))
 
@@ -139,13 +139,13 @@ def test_a_byte_order_mark_and_windows_line_ends_do_not_matter(tmp_path, tiny):
     np.testing.assert_array_equal(read_trajectory(tmp_path / "a.txt").poses[0], tiny.second)
 
 
-def test_a_binary_file_is_told(tmp_path):
+def test_a_binary_file_is_reported(tmp_path):
     (tmp_path / "a.txt").write_bytes(bytes(range(256)))
     with pytest.raises(InputError, match="binary"):
         read_trajectory(tmp_path / "a.txt")
 
 
-def test_a_missing_file_is_told(tmp_path):
+def test_a_missing_file_is_reported(tmp_path):
     with pytest.raises(InputError, match="cannot be read"):
         read_trajectory(tmp_path / "a.txt")
 
@@ -179,7 +179,7 @@ def test_halfway_is_halfway_in_place_and_turn():
     np.testing.assert_allclose(interpolate_pose(trajectory, 1250, 600), turn_about_z(22.5, x=0.5), atol=1e-12)
 
 
-def test_beside_a_hole_the_near_pose_is_taken():
+def test_next_to_a_gap_the_nearest_pose_is_used():
     trajectory = Trajectory([turn_about_z(0), turn_about_z(90)], np.array([0, 1_000_000]))
     np.testing.assert_array_equal(interpolate_pose(trajectory, 10, 50), turn_about_z(0))
     assert interpolate_pose(trajectory, 500, 50) is None
@@ -209,7 +209,7 @@ def test_inverse_undoes():
 def test_more_values_than_frames_go_by_number(tmp_path):
     with collecting() as told:
         assert assign_by_number("abcd", ["f1", "f3"], tmp_path / "a.txt", "poses") == ["b", "d"]
-    # A line too many shifts them, so that it is told.
+    # An additional line shifts the poses, so it is reported.
     assert "a.txt: it holds 4 poses for 2 frames" in str(told[0])
     with pytest.raises(InputError, match="4 poses, but the scan has 2 frames"):
         assign_by_number("abcd", ["f1", "f9"], tmp_path, "poses")

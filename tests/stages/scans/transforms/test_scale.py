@@ -1,4 +1,4 @@
-"""Scans whose lengths are no metres get metres: all of them at once, and before anything is chosen."""
+"""Scaling of non-metric scans to metres: all lengths at once, before frames are selected."""
 
 import json
 from dataclasses import replace
@@ -28,7 +28,7 @@ def pose(x: float) -> np.ndarray:
 
 
 def everything(**more) -> Scan:
-    """A scan that has all lengths there are."""
+    """Make a scan with every kind of length."""
     frame = Frame(
         "a",
         CAMERA,
@@ -62,7 +62,7 @@ def test_all_lengths_are_multiplied() -> None:
     assert scaled(scan).diagnostics == ()
 
 
-def test_without_a_scale_it_says_which_options_give_one() -> None:
+def test_a_missing_scale_is_reported_with_the_options() -> None:
     scan = scaled(everything(is_metric=False))
     assert not scan.is_metric
     (said,) = map(str, scan.diagnostics)
@@ -71,13 +71,13 @@ def test_without_a_scale_it_says_which_options_give_one() -> None:
     assert scaled(everything()).diagnostics == ()
 
 
-def test_metres_that_are_multiplied_by_more_than_a_correction_are_told() -> None:
+def test_an_implausible_scale_of_metric_scans_is_reported() -> None:
     assert scaled(everything(), scale=1.04).diagnostics == ()
     (said,) = map(str, scaled(everything(), scale=3.2).diagnostics)
     assert said == "layout made is metric, but its lengths are multiplied by 3.2"
 
 
-def test_of_poses_from_a_file_beside_measured_depth_these_alone_are_multiplied() -> None:
+def test_with_measured_depth_only_user_poses_are_scaled() -> None:
     scan = scaled(everything(), scale=FACTOR, poses="colmap.tum")
     (frame,) = scan.frames
     np.testing.assert_allclose(frame.world_from_camera[:3, 3], (0.25, 0.5, -0.75))
@@ -115,14 +115,14 @@ def test_a_known_distance_is_a_scale(text: str, factor: float) -> None:
         {"scale": 2.0, "known_distance": "1 2"},
     ],
 )
-def test_what_is_no_scale_is_wrong_usage(options: dict[str, object]) -> None:
+def test_an_invalid_scale_is_a_usage_error(options: dict[str, object]) -> None:
     with pytest.raises(UsageError, match=f"^{next(iter(options))}"):
         ScanParams(**options)
 
 
 @pytest.fixture(scope="module")
 def views(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Photos of a wall with tags, in nerfstudio's form, in a world of 0.31 m a unit."""
+    """Write photos of a wall with tags in nerfstudio's form, in a world of 0.31 m per unit."""
     folder = tmp_path_factory.mktemp("views")
     (folder / "images").mkdir()
     camera = tagged_wall.CAMERA
@@ -138,13 +138,13 @@ def views(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_tags_are_found_when_a_folder_is_read_whatever_frames_are_chosen(views: Path) -> None:
+def test_tags_are_searched_in_all_frames_of_a_folder(views: Path) -> None:
     whole = read_scan(views, ScanParams(tag_size=0.12))
     assert whole.scale.metres_per_unit == pytest.approx(0.31, rel=0.005)
     assert (whole.is_metric, whole.diagnostics) == (True, ())
     few = read_scan(views, ScanParams(tag_size=0.12, first=1, last=4, hold_out=4))
     assert few.scale == whole.scale
-    # Those that are kept apart stand in the same world.
+    # Held-out frames are in the same world.
     for frame in (*few.frames, *few.held_out):
         same = next(one for one in whole.frames if one.name == frame.name)
         np.testing.assert_array_equal(frame.world_from_camera, same.world_from_camera)
@@ -166,6 +166,6 @@ def test_a_folder_without_tags_is_refused(views: Path) -> None:
         read_scan(views, ScanParams(tag_size=0.12, tag_family="aruco-7x7"))
 
 
-def test_a_scan_says_so_in_its_line() -> None:
+def test_the_repr_of_a_scan_states_its_units() -> None:
     assert "not metric" in repr(everything(is_metric=False))
     assert "not metric" not in repr(replace(everything(), is_metric=True))

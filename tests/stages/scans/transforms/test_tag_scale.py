@@ -1,4 +1,4 @@
-"""The scale of a world by tags in photos: their true size comes out, and what spoils it is told."""
+"""The scale of a world from tags of known size in photos, and reports of unsuitable tags."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -24,12 +24,12 @@ FAMILY = "apriltag-36h11"
 
 @pytest.fixture(scope="module")
 def frames() -> list[Frame]:
-    """Six views of two tags, in a world of 0.31 metres a unit."""
+    """Render six views of two tags, in a world of 0.31 m per unit."""
     return tagged_wall.frames(metres_per_unit=0.31)
 
 
 def far(frames):
-    """The same views in a world that is turned, and far from its origin."""
+    """Transform the views to a rotated world far from the origin."""
     world = np.eye(4)
     world[:3, :3] = Rotation.from_euler("xyz", (0.3, -1.2, 2.0)).as_matrix()
     world[:3, 3] = (4e5, -2e5, 300)
@@ -59,8 +59,8 @@ def test_every_family_is_found_to_a_part_of_a_pixel(family):
     assert edges[0] == pytest.approx(edges[1], rel=0.01)
 
 
-def test_photos_beside_depth_and_with_lens_distortion_are_seen_from_their_own_camera(frames):
-    # The colour camera stands 0.2 m beside the depth camera, whose poses they are; its lens bends lines.
+def test_tags_in_a_separate_distorted_colour_camera(frames):
+    # The colour camera has lens distortion and is 0.2 m from the depth camera, whose poses are given.
     apart = np.eye(4)
     apart[:3, 3] = (0.2, 0.0, 0.05)
     bent = replace(CAMERA, distortion=(-0.12, 0.03, 0.001, -0.0005))
@@ -123,7 +123,7 @@ def test_tags_that_disagree_are_refused():
 
 
 def test_a_tag_that_is_no_square_by_the_poses_is_refused(frames):
-    # A camera that is taken to be wider than it is.
+    # A camera with a wrong field of view.
     squeezed = [replace(one, camera=replace(CAMERA, fx=1.3 * CAMERA.fx)) for one in frames]
     with pytest.raises(InputError, match=r"is not square|none in two photos from different positions"):
         estimate_scale_from_tags(squeezed, EDGE, FAMILY, FOLDER)
@@ -148,6 +148,6 @@ def without_poses(made):
         (lambda made: made[:0], FAMILY, "photos with poses"),
     ],
 )
-def test_where_there_is_no_scale_the_reason_is_said(frames, change, family, words):
+def test_where_there_is_no_scale_the_reason_is_reported(frames, change, family, words):
     with pytest.raises(InputError, match=rf"^scan: .*{words}"):
         estimate_scale_from_tags(change(frames), EDGE, family, FOLDER)

@@ -1,4 +1,7 @@
-"""Which way is up: layouts whose worlds are defined so say it, of poses that are theirs."""
+"""Up directions of scans.
+
+From layouts with a defined world, for poses in that world, and from measurements.
+"""
 
 from dataclasses import replace
 
@@ -19,7 +22,7 @@ CAMERA = Camera(4, 3, 5.0, 5.0, 1.5, 1.0)
 FRAME = Frame("a", CAMERA, world_from_camera=np.eye(4))
 
 
-def test_layouts_whose_worlds_are_defined_say_what_is_up():
+def test_layouts_with_a_defined_world_give_the_up_direction():
     told = {layout.name: create_layout_up(layout.name, layout.up).source for layout in LAYOUTS if layout.up}
     assert told == {
         "polycam": "layout polycam: y up",
@@ -49,14 +52,14 @@ def test_it_holds_for_the_poses_of_the_folder_alone(scan, options, expected):
 
 @settings(max_examples=25)
 @given(st.integers(0, 1 << 30))
-def test_what_frames_measured_is_their_median_in_whatever_world(seed):
+def test_measured_up_directions_are_combined_by_median(seed):
     random = np.random.default_rng(seed)
     world = Rotation.random(random_state=seed)
     up = world.apply((0.0, 0.0, 1.0))
     frames = []
     for number in range(15):
         turn = Rotation.random(random_state=seed % 1000 + number)
-        # A third of the readings are of somebody who runs.
+        # A third of the readings are from a running person.
         shake = random.normal(0, 0.7 if number % 3 == 0 else 0.03, 3)
         pose = np.eye(4)
         pose[:3, :3] = turn.as_matrix()
@@ -67,12 +70,12 @@ def test_what_frames_measured_is_their_median_in_whatever_world(seed):
     assert np.degrees(np.arccos(np.clip(known.direction @ up, -1, 1))) < 8
 
 
-def test_what_the_layout_says_counts_more():
+def test_the_layout_has_priority_over_measurements():
     told = WorldUp(Z_UP, "layout euroc: z up")
     assert find_up_direction(Scan("euroc", [replace(FRAME, up=np.array((0, -1.0, 0)))], up=told)) == told
 
 
-def test_nothing_tells():
+def test_without_information_there_is_no_up_direction():
     assert find_up_direction(Scan("made", [FRAME])) is None
     assert (
         find_up_direction(Scan("made", [replace(FRAME, up=np.array((0, -1.0, 0)), world_from_camera=None)]))
@@ -80,8 +83,8 @@ def test_nothing_tells():
     )
 
 
-def test_a_level_world_tells_each_camera_what_is_up_for_it():
-    """Poses found anew put frames into another world; what a phone knew of gravity goes with them."""
+def test_a_measured_world_gives_each_camera_its_up_direction():
+    """New poses define another world; gravity measured by the phone is converted."""
     turned = np.eye(4)
     turned[:3, :3] = ((0, 0, 1), (0, 1, 0), (-1, 0, 0))
     pose = turned @ np.diag((1.0, -1.0, -1.0, 1.0))
@@ -93,7 +96,7 @@ def test_a_level_world_tells_each_camera_what_is_up_for_it():
     elsewhere = replace(known.frames[0], world_from_camera=np.eye(4))
     found = find_up_direction(replace(known, frames=[elsewhere], up=None))
     np.testing.assert_allclose(found.direction, (0, -1, 0), atol=1e-12)
-    # A world that is defined so, and not measured, says nothing of the camera.
+    # A world whose up is defined, not measured, gives no up direction of a camera.
     assert (
         set_layout_up(Scan("made", [frame]), replace(level, is_gravity_aligned=False), ScanParams())
         .frames[0]

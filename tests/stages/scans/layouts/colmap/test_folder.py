@@ -70,7 +70,7 @@ def write_depth(path, shape=(24, 32), metres=2.0):
 
 @pytest.fixture
 def workspace(tmp_path, tiny):
-    """A dense workspace with neither a model nor depth maps: the test writes them."""
+    """Write a dense workspace without model and depth maps, which the tests add."""
     for name in NAMES:
         tiny.color(tmp_path / "images" / name)
     return tmp_path
@@ -84,7 +84,7 @@ def scan_folder(workspace):
 
 
 def assert_known_points(folder, tiny, **options):
-    """Names without their numbers' order in the file: 2 comes before 10."""
+    """Image IDs and names are in different orders: 2 comes before 10."""
     scan = read_scan(folder, ScanParams(**options))
     assert scan.layout == "colmap"
     assert [frame.name for frame in scan.frames] == ["left side/a view 2", "10"]
@@ -128,7 +128,7 @@ def test_smaller_depth_maps_have_a_smaller_camera(scan_folder, tiny):
     path.write_text(path.read_text().replace("32 24", "64 48"))
     for name in NAMES:
         image = np.zeros((48, 64, 3), np.uint8)
-        image[34:36, 52:54] = 255  # what the known pixel (26, 17) of the depth map covers
+        image[34:36, 52:54] = 255  # covers the known pixel (26, 17) of the depth map
         cv2.imwrite(str(scan_folder / "images" / name), image)
     scan = assert_known_points(scan_folder, tiny)
     color = read_color_aligned_to_depth(scan.frames[0], read_depth(scan.frames[0]))
@@ -166,7 +166,7 @@ def test_camera_models(scan_folder, number, values, distortion, write):
 
 
 @pytest.mark.parametrize("write", [write_text, write_binary])
-def test_cameras_that_nothing_here_projects_like_are_refused_with_the_reason(scan_folder, write):
+def test_unsupported_camera_models_are_refused_with_the_reason(scan_folder, write):
     write(scan_folder / "sparse", 10, (100, 100, 16.5, 12.5, *[0.0] * 8))
     with pytest.raises(InputError, match=r"THIN_PRISM_FISHEYE.*image_undistorter"):
         read_scan(scan_folder)
@@ -193,7 +193,7 @@ def test_fisheye_models(workspace, number, values, distortion, write):
 
 @pytest.mark.parametrize("omega", [0.0, 0.6, 0.9, 1.1])
 def test_a_lens_of_the_fov_model(workspace, omega):
-    """The model's own equation says where it sees a point (0.1, 0.05, 1) and one far aside."""
+    """The projection of the model is evaluated for a point (0.1, 0.05, 1) and a point far off axis."""
     write_text(workspace / "sparse", 7, (20, 22, 16.5, 12.5, omega))
     camera = read_scan(workspace).frames[0].camera
     for x, y in ((0.1, 0.05), (-0.5, 0.3)):
@@ -221,7 +221,7 @@ def test_lenses_of_the_fov_model_that_cannot_be_read(workspace, omega):
 
 
 def test_a_fisheye_view_becomes_the_view_of_a_pinhole(workspace):
-    """A short lens: 45 degrees off the axis lie at a quarter of pi times 10 pixels, and then at 10."""
+    """A fisheye: a point at 45° is π/4 · 10 pixels from the centre, and 10 pixels after undistortion."""
     write_text(workspace / "sparse", 5, (10, 10, 16.5, 12.5, 0, 0, 0, 0))
     u, v = np.meshgrid(np.arange(32.0), np.arange(24.0))
     image = np.zeros((24, 32, 3), np.uint8)
@@ -233,8 +233,8 @@ def test_a_fisheye_view_becomes_the_view_of_a_pinhole(workspace):
 
 
 @pytest.mark.parametrize("write", [write_text, write_binary])
-def test_of_several_models_the_largest_is_read_and_it_is_told(scan_folder, tiny, write):
-    # The first holds one of the images only, of a world of its own.
+def test_the_largest_of_several_models_is_read_and_reported(scan_folder, tiny, write):
+    # The first model contains only one of the images, in a different world.
     write(scan_folder / "sparse" / "0")
     if write is write_text:
         path = scan_folder / "sparse" / "0" / "images.txt"
@@ -257,10 +257,10 @@ def test_undistorted_images_without_depth_maps(workspace, tiny, tmp_path_factory
     tiny.assert_views(read_scan(project))
 
 
-# 30 points before each view by hand, 1 to 3 m away along its axis; the second looks along +x from (1, 2, 3).
+# 30 points in front of each view, 1 to 3 m away along its axis; the second faces +x from (1, 2, 3).
 AWAY = np.linspace(1, 3, 30)
 POINTS = [(0.0, 0.0, z) for z in AWAY] + [(1 + x, 2.0, 3.0) for x in AWAY]
-# Numbers of the images as written: FIRST is 2, SECOND is 1; there is no 7.
+# Image IDs as written: FIRST is 2, SECOND is 1; there is no 7.
 SEEN = [(2,)] * 30 + [(1, 7)] * 30
 
 
@@ -287,7 +287,7 @@ def test_views_without_any_depth_are_single_views_with_a_range_of_depth(workspac
     scan = read_scan(workspace)
     tiny.assert_views(scan)
     assert [frame.name for frame in scan.frames] == ["left side/a view 2", "10"]
-    # The 2nd and the 98th percentile are 1.04 m and 2.96 m, and the scene goes on a little beyond.
+    # The 2nd and the 98th percentile are 1.04 m and 2.96 m, and the range has a margin.
     for frame in scan.frames:
         near, far = frame.depth_range
         assert 0.75 < near < 1.0
@@ -319,7 +319,7 @@ def test_single_views_may_be_distorted_and_smaller_than_their_cameras(workspace)
 
 
 @pytest.mark.parametrize("end", [".bin", ".txt"])
-def test_damaged_points_are_told(workspace, end):
+def test_damaged_points_are_reported(workspace, end):
     write_text(workspace / "sparse")
     path = workspace / "sparse" / f"points3D{end}"
     sound = binary_points() if end == ".bin" else b"1 0 0 2 9 9 9 0.5 2 1\n"
@@ -341,7 +341,7 @@ def test_damaged_points_are_told(workspace, end):
         assert read_scan(workspace).frames[0].depth_range is None
 
 
-def test_photometric_maps_stand_in_and_are_told(workspace, tiny):
+def test_photometric_maps_replace_missing_ones_and_are_reported(workspace, tiny):
     write_text(workspace / "sparse")
     for name in NAMES:
         write_depth(workspace / "stereo" / "depth_maps" / f"{name}.photometric.bin")
@@ -416,7 +416,8 @@ def test_binary_models_cut_anywhere_are_refused(scan_folder, which):
 def test_any_damaged_byte_of_points_is_refused_or_read(workspace, value):
     write_text(workspace / "sparse")
     data = binary_points()
-    # Every byte of the first two points that one image has, of the first that two have, and of the last.
+    # Every byte of the first two points of one image, of the first two points of two images, and of the last
+    # point.
     one, two = 59, 67
     middle = 8 + 30 * one
     assert len(data) == middle + 30 * two
@@ -445,12 +446,12 @@ def test_any_damaged_byte_is_refused_or_read(scan_folder, which, value):
             assert str(scan_folder) in str(error)  # noqa: PT017
 
 
-def test_where_only_the_dense_workspace_fits_it_is_read_and_told(scan_folder, tiny, tmp_path_factory):
+def test_a_dense_workspace_is_read_and_reported(scan_folder, tiny, tmp_path_factory):
     write_text(scan_folder / "sparse")
     project = tmp_path_factory.mktemp("project")
     write_text(project / "sparse" / "0", values=(90, 90, 16.5, 12.5))
     (project / "dense").mkdir()
-    # Without depth maps: they would be preferred anyway.
+    # Without depth maps, which would have priority.
     shutil.rmtree(scan_folder / "stereo")
     scan_folder.rename(project / "dense" / "0")
     scan = read_scan(project)
@@ -460,7 +461,7 @@ def test_where_only_the_dense_workspace_fits_it_is_read_and_told(scan_folder, ti
         "dense/0/, whose images match, is read instead"
     )
     assert said in map(str, scan.diagnostics)
-    # Images of the root's own are preferred.
+    # Images in the root folder have priority.
     for name in NAMES:
         tiny.color(project / "images" / name)
     scan = read_scan(project)

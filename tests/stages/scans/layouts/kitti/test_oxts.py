@@ -1,8 +1,8 @@
-"""Poses of KITTI's raw recordings, of what the car's navigation unit measured.
+"""Poses of KITTI's raw recordings from the car's GPS/IMU unit.
 
-The drive is at a latitude of 60 degrees, whose cosine is a half: a degree of longitude is half as long as at
-the equator, 111319.490793 / 2 m. The unit has x forward, y left, z up; the laser scanner stands 1 m before
-it and 0.5 m above; camera 0 looks forward, x right, y down, z forward, 0.3 m before the scanner.
+The drive is at a latitude of 60°, whose cosine is 1/2, so a degree of longitude is half as long as at the
+equator: 111319.490793 / 2 m. The unit has x forward, y left, z up. The laser scanner is 1 m in front of the
+unit and 0.5 m above. Camera 0 has x right, y down, z forward, and is 0.3 m in front of the scanner.
 """
 
 import numpy as np
@@ -18,13 +18,13 @@ P_rect_02: 100 0 16 6 0 100 12 0 0 0 1 0
 P_rect_03: 100 0 16 -48 0 100 12 0 0 0 1 0
 """
 UNIT = "calib_time: now\nR: 1 0 0 0 1 0 0 0 1\nT: -1 0 -0.5\n"
-# To the camera, the scanner's forward is z, its left is -x, its up is -y.
+# From scanner to camera: forward is z, left is -x, up is -y.
 SCANNER = "calib_time: now\nR: 0 -1 0 0 0 -1 1 0 0\nT: 0 0 -0.3\ndelta_f: 0 0\n"
 DEGREE = 111319.49079327358 / 2
 
 
 def measured(east=0.0, north=0.0, up=0.0, roll=0.0, pitch=0.0, yaw=0.0):
-    """A file's text, of metres from 60 degrees north, 8 degrees east, at 100 m."""
+    """Format an OXTS file for a position in metres from 60° north, 8° east, at 100 m."""
     return (
         f"{60 + north / (2 * DEGREE):.13f} {8 + east / DEGREE:.13f} {100 + up} {roll} {pitch} {yaw} "
         + "0 " * 24
@@ -46,23 +46,23 @@ def drive(tmp_path, tiny):
     return folder
 
 
-def test_where_the_cameras_stand(drive):
-    """Camera 2 stands 0.06 m to the left of camera 0, since P_rect_02 has +6 / 100."""
+def test_poses_of_the_cameras(drive):
+    """Camera 2 is 0.06 m to the left of camera 0, because P_rect_02 has +6 / 100."""
     scan = read_scan(drive)
     assert not scan.diagnostics
     assert scan.up.source == "layout kitti: z up"
     first, second, _ = (frame.world_from_camera for frame in scan.frames)
-    # Facing east the left is north: 1 + 0.3 m before the unit, 0.5 m above it.
+    # When facing east, left is north: 1 + 0.3 m in front of the unit, 0.5 m above.
     np.testing.assert_allclose(first[:3, 3], (1.3, 0.06, 0.5), atol=1e-6)
-    # Its right is south, its down is down, and it looks east.
+    # Right is south, down is down, forward is east.
     np.testing.assert_allclose(first[:3, :3].T, [(0, -1, 0), (0, 0, -1), (1, 0, 0)], atol=1e-12)
-    # 3 m to the east and turned to the left, it faces north: its left is west.
+    # 3 m to the east and rotated to the left, the car faces north: left is west.
     np.testing.assert_allclose(second[:3, 3], (3 - 0.06, 1.3, 0.5), atol=1e-5)
     np.testing.assert_allclose(second[:3, :3].T, [(1, 0, 0), (0, 0, -1), (0, 1, 0)], atol=1e-12)
 
 
 def test_a_known_point(drive, tiny):
-    """A point 10 m before the second camera and 1 m to its left, on its axis' height."""
+    """A point 10 m in front of the second camera, 1 m to its left, at the height of its axis."""
     second = read_scan(drive).frames[1]
     point = (3 - 0.06 - 1, 1.3 + 10, 0.5)
     seen = tiny.pixel(point, np.linalg.inv(second.world_from_camera), second.camera)
@@ -72,19 +72,19 @@ def test_a_known_point(drive, tiny):
 def test_roll_comes_before_pitch_before_yaw(drive):
     third = read_scan(drive).frames[2].world_from_camera
     sin, cos = np.sin, np.cos
-    # Where the unit's forward, and with it the camera's axis, points: yaw and pitch alone say so.
+    # The forward axis of unit and camera only depends on yaw and pitch.
     np.testing.assert_allclose(
         third[:3, 2], (cos(0.1) * cos(0.2), sin(0.1) * cos(0.2), -sin(0.2)), atol=1e-12
     )
-    # The unit's left rises by roll, and less where it is pitched.
+    # The left axis of the unit rises with roll, by less if the unit is pitched.
     np.testing.assert_allclose(-third[2, 0], cos(0.2) * sin(0.3), atol=1e-12)
-    # The unit is behind, below and to the right of camera 2: there it is 4 m to the north, 2 m up.
+    # The unit is behind, below and to the right of camera 2, 4 m to the north and 2 m up.
     np.testing.assert_allclose((third @ (0.06, 0.5, -1.3, 1))[:3], (0, 4, 2), atol=1e-5)
 
 
 def test_the_rectification_turns_the_camera(drive):
     calib = drive.parent / "calib_cam_to_cam.txt"
-    # Camera 0 is turned a quarter about its axis to be rectified: what was its right is then down.
+    # Rectification rotates camera 0 by 90° about its axis, so right becomes down.
     calib.write_text(CAMERAS.replace("R_rect_00: 1 0 0 0 1 0 0 0 1", "R_rect_00: 0 -1 0 1 0 0 0 0 1"))
     first = read_scan(drive).frames[0].world_from_camera
     np.testing.assert_allclose(first[:3, :3].T, [(0, 0, 1), (0, -1, 0), (1, 0, 0)], atol=1e-12)
@@ -130,7 +130,7 @@ def test_calibrations_that_are_missing(drive, name, words):
         ("oxts/data/0000000001.txt", "90 8 100 0 0 0\n", "latitude of 90"),
     ],
 )
-def test_damaged_files_are_told(drive, name, text, words):
+def test_damaged_files_are_reported(drive, name, text, words):
     (drive / name).write_text(text)
     with pytest.raises(InputError, match=words):
         read_scan(drive)

@@ -6,7 +6,7 @@ from scanloom.stages.scans.model.images import read_color, read_right
 from scanloom.stages.scans.params import ScanParams
 from scanloom.stages.scans.reader import read_scan
 
-# P0 and P1: baseline 0.5 m. P2 and P3: the colour pair stands 0.06 m left of camera 0, baseline 0.54 m.
+# P0 and P1: baseline 0.5 m. P2 and P3: the colour pair is 0.06 m left of camera 0, baseline 0.54 m.
 CALIB = """P0: 100 0 16 0 0 100 12 0 0 0 1 0
 P1: 100 0 16 -50 0 100 12 0 0 0 1 0
 P2: 100 0 16 6 0 100 12 0 0 0 1 0
@@ -46,9 +46,9 @@ def test_colour_cameras_are_preferred_and_their_offset_counts(scan_folder, tiny)
     scan = read_scan(scan_folder)
     assert scan.frames[0].color.parent.name == "image_2"
     assert scan.rig.baseline == pytest.approx(0.54)
-    # K [I | t] with t = 6 / 100: a point is 0.06 m further right in camera 2, which stands left.
+    # K [I | t] with t = 6 / 100: a point is 0.06 m farther right in camera 2, which is to the left.
     np.testing.assert_allclose(scan.frames[0].world_from_camera[:3, 3], (-0.06, 0, 0), atol=1e-12)
-    # Frame 1 looks along world +x; its x axis is world -z, so 0.06 m to its left is +z.
+    # Frame 1 faces world +x; its x axis is world -z, so 0.06 m to its left is +z.
     np.testing.assert_allclose(scan.frames[1].world_from_camera[:3, 3], (1, 2, 3.06), atol=1e-12)
 
 
@@ -119,7 +119,7 @@ def test_no_calibration(scan_folder):
         (CALIB.replace("P1: 100", "P1: nan"), r"P1"),
     ],
 )
-def test_damaged_calibrations_are_told(scan_folder, text, message):
+def test_damaged_calibrations_are_reported(scan_folder, text, message):
     (scan_folder / "calib.txt").write_text(text)
     with pytest.raises(InputError, match=message):
         read_scan(scan_folder)
@@ -129,7 +129,7 @@ def test_a_pair_that_lacks_a_side_is_left_out(scan_folder):
     (scan_folder / "image_1" / "000000.png").unlink()
     scan = read_scan(scan_folder)
     assert [frame.name for frame in scan.frames] == ["000001"]
-    # The pose still follows the number of the frame.
+    # Poses are assigned by frame number.
     np.testing.assert_allclose(scan.frames[0].world_from_camera[:3, 3], (1, 2, 3))
 
 
@@ -181,7 +181,8 @@ def test_raw_recordings(drive, tiny):
     # 2011-09-26 is day 15243 of the epoch; 13:02:25 is second 46945 of it.
     first = (15243 * 86400 + 46945) * 10**9 + 964389445
     assert [frame.timestamp for frame in scan.frames] == [first, first + 10**8]
-    # Poses are of camera 0, 0.06 m right of camera 2, which so sees the point 6 / 2 pixels further right.
+    # Poses are of camera 0, 0.06 m right of camera 2, where the point is therefore 6 / 2 pixels farther
+    # right.
     camera_from_world = np.linalg.inv(scan.frames[0].world_from_camera)
     np.testing.assert_allclose(tiny.pixel(tiny.points[0], camera_from_world, scan.rig.left), (29, 17))
 
@@ -198,21 +199,22 @@ def test_raw_recordings_that_are_not_rectified_are_refused(drive):
 @pytest.mark.parametrize(
     "text", ["yesterday\n", "2011-09-26 13:02:25.9x\n2011-09-26 13:02:26.0\n", "2011\n" * 2]
 )
-def test_damaged_dates_are_told(drive, text):
+def test_damaged_dates_are_reported(drive, text):
     (drive / "image_02" / "timestamps.txt").write_text(text)
     with pytest.raises(InputError, match=r"timestamps\.txt"):
         read_scan(drive, ScanParams(poses="mine.txt"))
 
 
 @pytest.mark.parametrize("number", range(4))
-def test_images_of_one_camera_are_views_of_its_own_projection(scan_folder, tiny, number):
+def test_images_of_one_camera_are_views_with_its_projection(scan_folder, tiny, number):
     for side in ("image_0", "image_1"):
         (scan_folder / side).rename(scan_folder.parent / f"{scan_folder.name}_{side}")
     for at in (0, 1):
         tiny.color(scan_folder / f"image_{number}" / f"{at:06d}.png")
     scan = read_scan(scan_folder)
     assert (scan.layout, scan.is_stereo, [one.depth for one in scan.frames]) == ("kitti", False, [None, None])
-    # K [I | t]: camera 1 stands 0.5 m right of camera 0, 2 stands 0.06 m left of it, 3 is 0.48 m right of it.
+    # K [I | t]: camera 1 is 0.5 m right of camera 0, camera 2 is 0.06 m left of it, camera 3 is 0.48 m right
+    # of it.
     stands_right = (0, 0.5, -0.06, 0.48)[number]
     np.testing.assert_allclose(scan.frames[0].world_from_camera[:3, 3], (stands_right, 0, 0), atol=1e-12)
     np.testing.assert_allclose(scan.frames[1].world_from_camera[:3, 3], (1, 2, 3 - stands_right), atol=1e-12)

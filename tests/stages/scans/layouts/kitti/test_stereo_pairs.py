@@ -48,7 +48,7 @@ def test_the_two_moments_of_a_scene_lack_poses(scan_folder):
         read_scan(scan_folder, ScanParams(first=2, last=3))
 
 
-def test_poses_that_are_named_are_taken(scan_folder, tiny):
+def test_given_poses_are_used(scan_folder, tiny):
     poses = [tiny.identity, tiny.second] * 2
     rows = [" ".join(f"{value:g}" for value in pose[:3].ravel()) for pose in poses]
     (scan_folder / "mine.txt").write_text("\n".join(rows))
@@ -77,7 +77,7 @@ def test_the_older_set_names_its_folders_otherwise(scan_folder):
         (calib(0.5).replace("32 24", "1e400 24"), "S_rect must be two numbers"),
     ],
 )
-def test_wrong_calibrations_are_told(scan_folder, text, message):
+def test_wrong_calibrations_are_reported(scan_folder, text, message):
     path = scan_folder / "calib_cam_to_cam" / "000000.txt"
     path.unlink() if text is None else path.write_text(text)
     with pytest.raises(InputError, match=message):

@@ -1,4 +1,4 @@
-"""What an accelerometer beside the camera says is up goes with the frames, whatever their poses are."""
+"""The up direction of an accelerometer is attached to the frames, independent of their poses."""
 
 import numpy as np
 import pytest
@@ -12,12 +12,12 @@ from scanloom.stages.scans.reader import read_scan
 from scanloom.stages.scans.transforms.up_direction import find_up_direction
 
 ACCEL = "/device_0/sensor_2/Accel_0/imu/data"
-# In the second pose of the tiny world, too, y of the camera is y of the world, which then is down.
+# In the second pose of the tiny world, y of the camera is also y of the world, which points down.
 UP = np.array((0.0, -1.0, 0.0))
 
 
 def readings(up=UP, *, length=9.81, count=12, shake=0.0, **more):
-    """Readings over the time of two frames, of a camera that is shaken."""
+    """Make accelerometer samples over the time of two frames, with a shaking camera."""
     shaken = np.random.default_rng(4).normal(0, max(shake, 1e-12), (count, 3))
     times = np.linspace(START - INTERVAL // 2, START + 2 * INTERVAL, count).astype(int).tolist()
     return [
@@ -42,8 +42,8 @@ def test_up_is_in_the_axes_of_the_depth_camera(tmp_path, kind, trajectory):
     assert known.direction @ UP > np.cos(np.radians(3))
 
 
-def test_it_is_turned_as_the_recording_says_the_two_stand(tmp_path):
-    # A unit that is rolled by a quarter turn in the camera: its x is the camera's y.
+def test_up_is_rotated_by_the_imu_extrinsics(tmp_path):
+    # An IMU rolled by 90° relative to the camera: its x axis is the camera's y axis.
     made = of_realsense(up=(-1.0, 0.0, 0.0))
     quarter = tuple(Rotation.from_euler("z", 90, degrees=True).as_quat())
     made.streams = [depth_stream(from_reference=((0, 0, 0), quarter))]
@@ -53,13 +53,13 @@ def test_it_is_turned_as_the_recording_says_the_two_stand(tmp_path):
     np.testing.assert_allclose(scan.frames[0].up, UP, atol=1e-6)
 
 
-def test_of_any_camera_the_tree_of_frames_says_it(tmp_path):
+def test_ros_transforms_give_the_imu_extrinsics(tmp_path):
     turn = Rotation.from_euler("xyz", (20, -50, 130), degrees=True)
     made = ros_bag(links=[*LINKS, ("depth_optical", "imu", (0.0, 0.1, 0.0), tuple(turn.as_quat()))])
     made.readings = {"/imu": readings(up=turn.inv().apply(UP)), "/gyro": readings(up=(1, 0, 0))}
     scan = read_scan(made.write(tmp_path / "take.bag"), complete=False)
     np.testing.assert_allclose(scan.frames[0].up, UP, atol=1e-6)
-    # A single frame stands at the origin of its own world.
+    # The pose of a single frame is the identity.
     assert find_up_direction(scan).source == "gravity of the IMU"
 
 
@@ -72,13 +72,13 @@ def test_of_any_camera_the_tree_of_frames_says_it(tmp_path):
         ({"up": (1e300, 1e300, 0)}, None),
     ],
 )
-def test_what_is_not_gravity_is_not_used(tmp_path, made, words):
+def test_implausible_gravity_is_not_used(tmp_path, made, words):
     scan = read_scan(of_realsense(**made).write(tmp_path / "take.bag"), complete=False)
     assert all(frame.up is None for frame in scan.frames)
     assert [words in text for text in map(str, scan.diagnostics)] == ([True] if words else [])
 
 
-def test_a_unit_that_nothing_joins_to_the_camera_is_told(tmp_path):
+def test_an_imu_without_extrinsics_is_reported(tmp_path):
     made = ros_bag(links=LINKS)
     made.readings = {"/imu": readings()}
     scan = read_scan(made.write(tmp_path / "take.bag"), complete=False)
@@ -99,7 +99,7 @@ def test_a_jolt_is_left_out(tmp_path):
     assert scan.frames[1].up is not None
 
 
-def test_poses_that_turn_it_over_are_told(tmp_path, trajectory):
+def test_poses_contradicting_gravity_are_reported(tmp_path, trajectory):
     scan = read_scan(of_realsense().write(tmp_path / "take.bag"), trajectory)
     second = scan.frames[1]
     second.world_from_camera[:3, :3] = Rotation.from_euler("x", 90, degrees=True).as_matrix()

@@ -15,7 +15,7 @@ from scanloom.stages.scans.reader import read_scan
 @pytest.fixture
 def scan_folder(tmp_path, tiny):
     folder = tmp_path / "rgbd_dataset_freiburg3_tiny"
-    # The depth camera's clock lies 10 ms behind; the third colour frame has no depth near it.
+    # The clock of the depth camera is 10 ms behind; the third colour frame has no depth close in time.
     color, depth = ("10.000000", "10.500000", "11.000000"), ("10.010000", "10.510000", "12.000000")
     for name in color:
         tiny.color(folder / "rgb" / f"{name}.png")
@@ -35,7 +35,7 @@ def scan_folder(tmp_path, tiny):
 
 
 def test_known_points_come_out_in_the_world(scan_folder, tiny):
-    # The second pose is half-way between two of the trajectory: (1, 2, 3).
+    # The second pose is halfway between two poses of the trajectory: (1, 2, 3).
     scan = read_scan(scan_folder, ScanParams(intrinsics=tiny.option))
     assert scan.layout == "tum"
     assert [tuple(np.round(tiny.seen(frame), 6)) for frame in scan.frames] == list(tiny.points)
@@ -74,7 +74,7 @@ def test_an_excerpt_may_keep_the_lists_of_the_whole(scan_folder):
     ]
 
 
-def test_a_folder_of_another_name_is_found_and_told(scan_folder, tiny):
+def test_a_folder_of_another_name_is_found_and_reported(scan_folder, tiny):
     (scan_folder / "depth").rename(scan_folder / "depths")
     scan = read_scan(scan_folder, ScanParams(intrinsics=tiny.option))
     assert [tuple(np.round(tiny.seen(frame), 6)) for frame in scan.frames] == list(tiny.points)
@@ -84,7 +84,7 @@ def test_a_folder_of_another_name_is_found_and_told(scan_folder, tiny):
     )
 
 
-def test_two_folders_that_could_be_meant_are_not_guessed_at(scan_folder, tiny):
+def test_two_candidate_folders_are_ambiguous(scan_folder, tiny):
     (scan_folder / "depth").rename(scan_folder / "depths")
     tiny.depth(scan_folder / "filled" / "10.010000.png", 5000)
     with pytest.raises(InputError, match=r"depth/10\.010000\.png: the image cannot be opened"):
@@ -98,14 +98,14 @@ def test_each_depth_frame_is_used_once(scan_folder, tiny):
     scan = read_scan(scan_folder)
     used = [frame.depth for frame in scan.frames]
     assert len(set(used)) == len(used) == 2
-    # The colour frame 5 ms away takes it from the one 10 ms away.
+    # The colour frame 5 ms away gets this depth, not the one 10 ms away.
     assert "10.015000" in [frame.name for frame in scan.frames]
 
 
 def test_the_camera_follows_the_folder_name(scan_folder):
     scan = read_scan(scan_folder)
     camera = scan.frames[0].camera
-    # A twentieth of the data set's size; pixel centres are at whole numbers.
+    # A twentieth of the resolution of the data set; pixel centres are at integers.
     expected = (535.4 / 20, 539.2 / 20, (320.1 + 0.5) / 20 - 0.5, (247.6 + 0.5) / 20 - 0.5)
     np.testing.assert_allclose((camera.fx, camera.fy, camera.cx, camera.cy), expected)
     assert camera.distortion == ()
@@ -120,7 +120,7 @@ def test_freiburg1_keeps_its_distortion(scan_folder):
     assert read_scan(moved).frames[0].camera.distortion == FREIBURG_1
 
 
-def test_what_the_lists_say_counts_and_not_the_folders_name(scan_folder):
+def test_lists_have_priority_over_folder_names(scan_folder):
     rgb = scan_folder / "rgb.txt"
     listed = rgb.read_text()
     rgb.write_text("# color images\n# file: 'rgbd_dataset_freiburg1_xyz.bag'\n" + listed)
@@ -143,7 +143,7 @@ def test_a_stranger_in_a_folder_of_the_data_sets_name(scan_folder, name):
     )
 
 
-def test_settings_of_orb_slam_beside_the_images(scan_folder, tiny):
+def test_orb_slam_settings_next_to_the_images(scan_folder, tiny):
     moved = scan_folder.rename(scan_folder.with_name("desk"))
     for stamp in ("10.010000", "10.510000"):
         if (image := moved / "depth" / f"{stamp}.png").exists():
@@ -169,7 +169,7 @@ def test_real_recordings_are_known_by_their_lists(shared_data, tmp_path):
     )
 
 
-def test_an_unknown_camera_is_said(scan_folder):
+def test_an_unknown_camera_is_reported(scan_folder):
     moved = scan_folder.rename(scan_folder.with_name("desk"))
     scan = read_scan(moved)
     assert scan.frames[0].camera.fx == 26.25
@@ -179,8 +179,8 @@ def test_an_unknown_camera_is_said(scan_folder):
     assert not stated.diagnostics
 
 
-def test_depth_that_nothing_sees_so_near_is_in_millimetres(scan_folder):
-    # 0.5 to 1.5 m in millimetres: 0.1 to 0.3 m in TUM's units.
+def test_implausibly_near_depth_is_read_as_millimetres(scan_folder):
+    # 0.5 to 1.5 m in millimetres would be 0.1 to 0.3 m in TUM's units.
     moved = scan_folder.rename(scan_folder.with_name("desk"))
     ramp = np.linspace(500, 1500, 32 * 24).reshape(24, 32).astype(np.uint16)
     for image in (moved / "depth").iterdir():
@@ -202,8 +202,8 @@ def test_whole_millimetres_times_five_are_known(scan_folder):
     assert (scan.frames[0].depth_scale, scan.diagnostics) == (5000, ())
 
 
-def test_poses_beside_images_that_are_only_counted(scan_folder, tiny):
-    """Key frames as they are packed: the lists count them, and the poses have the times of the recording."""
+def test_poses_with_times_for_images_with_counters(scan_folder, tiny):
+    """Packed keyframes: the lists contain counters, and the poses contain times of the recording."""
     (scan_folder / "groundtruth.txt").rename(scan_folder / "truth_cam_poses.txt")
     poses = (scan_folder / "truth_cam_poses.txt").read_text().splitlines()
     (scan_folder / "truth_cam_poses.txt").write_text(
@@ -220,7 +220,7 @@ def test_poses_beside_images_that_are_only_counted(scan_folder, tiny):
     assert scan.missing == ()
 
 
-def test_poses_beside_images_of_another_time_are_left(scan_folder):
+def test_poses_of_another_time_are_not_used(scan_folder):
     text = (scan_folder / "groundtruth.txt").read_text().splitlines()
     (scan_folder / "groundtruth.txt").unlink()
     (scan_folder / "other.txt").write_text("\n".join(line.replace("10.", "500.") for line in text[1:3]))
@@ -229,7 +229,7 @@ def test_poses_beside_images_of_another_time_are_left(scan_folder):
     assert any("groundtruth.txt is missing" in lacking for lacking in map(str, scan.missing))
 
 
-def test_real_depth_tells_its_unit(shared_data):
+def test_the_unit_of_real_depth_is_detected(shared_data):
     desk = read_scan(shared_data / "rgbd" / "realsense_desk_tum_layout", complete=False)
     assert desk.frames[0].depth_scale == 1000
     rpy = sorted((shared_data / "real" / "rgbd_dataset_freiburg1_rpy" / "depth").iterdir())
@@ -253,7 +253,7 @@ def test_without_lists_the_names_are_the_times(scan_folder, tiny):
     assert any("timestamps in their names" in text for text in map(str, scan.diagnostics))
 
 
-def test_associations_stand_in_for_the_lists(scan_folder, tiny):
+def test_associations_replace_missing_lists(scan_folder, tiny):
     for name in ("rgb.txt", "depth.txt"):
         (scan_folder / name).unlink()
     (scan_folder / "depth").rename(scan_folder / "depths")
@@ -266,7 +266,7 @@ def test_associations_stand_in_for_the_lists(scan_folder, tiny):
     assert [frame.timestamp for frame in scan.frames] == [10_000_000_000, 10_500_000_000]
 
 
-def test_times_that_fall_or_repeat_are_told_and_the_order_kept(scan_folder):
+def test_non_increasing_times_are_reported_and_the_order_kept(scan_folder):
     lines = (scan_folder / "rgb.txt").read_text().splitlines()
     (scan_folder / "rgb.txt").write_text("\n".join((lines[2], lines[1])))
     scan = read_scan(scan_folder)
@@ -275,7 +275,7 @@ def test_times_that_fall_or_repeat_are_told_and_the_order_kept(scan_folder):
 
 
 @pytest.mark.parametrize("text", ["now rgb/1.png\n", "1e99 rgb/1.png\n", "1\n", "1 ../../1.png\n", "\n"])
-def test_damaged_lists_are_told(scan_folder, text):
+def test_damaged_lists_are_reported(scan_folder, text):
     (scan_folder / "rgb.txt").write_text(text)
     with pytest.raises(InputError, match=r"rgb\.txt"):
         read_scan(scan_folder)
@@ -332,7 +332,7 @@ def test_real_key_frames_whose_poses_have_other_times(shared_data):
     ],
 )
 def test_lists_of_other_systems_are_read(scan_folder, tiny, old, new):
-    # Of some other computer, by some other program.
+    # Lists written by another program on another machine.
     path = scan_folder / "rgb.txt"
     known = read_scan(scan_folder, ScanParams(intrinsics=tiny.option))
     assert old in path.read_text()
@@ -347,14 +347,14 @@ def without_depth(folder):
     return folder
 
 
-def test_a_recording_without_depth_is_views_of_its_own_camera(scan_folder):
+def test_a_recording_without_depth_is_read_as_views(scan_folder):
     scan = read_scan(without_depth(scan_folder))
     assert (scan.layout, [one.depth for one in scan.frames]) == ("tum", [None, None])
     assert [one.name for one in scan.frames] == ["10.000000", "10.500000"]
     assert [(one.name, one.reason) for one in scan.skipped_frames] == [
         ("11.000000", "the trajectory has no pose within 0.02 s")
     ]
-    # Of 640x480 pixels to the 32x24 of the images.
+    # Reduced from 640x480 to 32x24 pixels.
     assert scan.frames[0].camera.fx == pytest.approx(535.4 / 20)
     assert "the camera of freiburg3 is used, according to the folder name" in map(str, scan.diagnostics)
     np.testing.assert_allclose(scan.frames[1].world_from_camera[:3, 3], (1, 2, 2), atol=1e-9)

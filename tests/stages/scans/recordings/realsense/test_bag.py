@@ -33,7 +33,7 @@ def test_known_points_and_colours_come_out(tmp_path, tiny, trajectory, compressi
     assert [one.name for one in scan.frames] == ["000000", "000001"]
     assert [one.timestamp for one in scan.frames] == [START, START + INTERVAL]
     for one, point in zip(scan.frames, tiny.points, strict=True):
-        # Times in the trajectory are decimal seconds, which doubles hold to 0.2 microseconds only.
+        # Times in the trajectory are decimal seconds, which doubles represent to 0.2 microseconds only.
         np.testing.assert_allclose(tiny.seen(one), point, atol=1e-4)
         assert read_depth(one)[0, 0] == 0
         assert tiny.green_is_at_the_pixel(one)
@@ -143,7 +143,7 @@ def test_depth_alone_and_with_infrared(tmp_path):
 @pytest.mark.parametrize("written", ["write", "write_db3"])
 def test_the_infrared_pair_where_there_is_no_depth(tmp_path, written):
     images = [[Image(START, np.full((24, 32), grey, np.uint8), "8UC1")] for grey in (77, 99)]
-    # The right camera stands 5 cm to the right: points move to the left.
+    # The right camera is 5 cm to the right, so points move to the left.
     left, right = (
         depth_stream(name=INFRARED.format(n + 1), images=images[n], from_reference=((x, 0, 1), DEPTH_TURN))
         for n, x in enumerate((0, -0.05))

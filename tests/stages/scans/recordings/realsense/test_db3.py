@@ -1,4 +1,4 @@
-"""Recordings of RealSense's newer library: an SQLite database, whose cameras are told in words."""
+"""Recordings of librealsense in SQLite databases, with cameras described as text."""
 
 import random
 import sqlite3
@@ -27,7 +27,7 @@ def test_known_points_and_colours_of_a_newer_recording(tmp_path, tiny, trajector
     assert scan.layout == "ros-bag"
     assert not list_warnings(scan)
     assert not scan.skipped_frames
-    # Times are decimal milliseconds there, which doubles hold to 0.2 microseconds only.
+    # Times are decimal milliseconds there, which doubles represent to 0.2 microseconds only.
     np.testing.assert_allclose([one.timestamp - START for one in scan.frames], (0, INTERVAL), atol=1000)
     for one, point in zip(scan.frames, tiny.points, strict=True):
         np.testing.assert_allclose(tiny.seen(one), point, atol=1e-4)
@@ -35,7 +35,7 @@ def test_known_points_and_colours_of_a_newer_recording(tmp_path, tiny, trajector
         assert tiny.green_is_at_the_pixel(one)
 
 
-def test_what_a_newer_recording_says_of_its_cameras(tmp_path):
+def test_cameras_of_a_newer_recording(tmp_path):
     bent = (-0.05, 0.06, 0.001, -0.002, -0.02)
     lens = {"model": "Inverse Brown Conrady", "distortion": bent}
     made_so = recording(streams=[depth_stream(), color_stream(**lens)], units=(0.001, 0.00025))
@@ -104,7 +104,7 @@ def test_a_message_that_is_too_large_is_not_read(tmp_path, monkeypatch):
         read_color(scan.frames[0])
 
 
-def test_a_table_that_would_compute_for_ever_is_none(tmp_path):
+def test_an_endless_view_is_not_read_as_table(tmp_path):
     file = recording().write_db3(tmp_path / "take.db3")
     database(file, "DROP TABLE messages")
     database(
