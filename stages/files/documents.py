@@ -97,7 +97,7 @@ def parse_assignments(text: str, separators: str = "=") -> dict[str, str]:
     separators : characters that may stand between name and value.
     """
     found: dict[str, str] = {}
-    for line in text.split("\n"):
+    for line in filter(None, text.split("\n")):
         at = min((k for k in map(line.find, separators) if k >= 0), default=-1)
         name = line[: max(at, 0)].strip()
         if name.replace("_", "a").isalnum():
