@@ -10,7 +10,7 @@ from scanloom.stages.diagnostics.codes import USAGE_VALUE_INVALID
 from scanloom.stages.diagnostics.diagnostic import DiagnosticLocation
 from scanloom.stages.diagnostics.errors import UsageError
 from scanloom.stages.params import check_parameters, param
-from scanloom.stages.scans.calibration.named_cameras import create_named_camera, suggest_names
+from scanloom.stages.scans.model.named_cameras import create_named_camera, suggest_names
 from scanloom.stages.scans.model.poses import AS_WRITTEN, CONVENTIONS
 from scanloom.stages.scans.model.scan import Camera
 

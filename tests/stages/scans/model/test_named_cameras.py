@@ -5,7 +5,7 @@ import re
 import pytest
 
 from scanloom.stages.diagnostics.errors import UsageError
-from scanloom.stages.scans.calibration.named_cameras import NAMES, create_named_camera
+from scanloom.stages.scans.model.named_cameras import NAMES, create_named_camera
 from scanloom.stages.scans.params import ScanParams
 from scanloom.stages.scans.reader import read_scan
 
