@@ -90,8 +90,9 @@ def _find_invalid_setting(about: Mapping[str, Any]) -> str | None:
         isinstance(about["cache"], str) and "\0" not in about["cache"] and type(about["overwrite"]) is bool
     ):
         return "its settings have values of a wrong type"
-    stages = [*force, *([] if until is None else [until])] if isinstance(force, list) else [None]
-    if not all(isinstance(stage, str) for stage in stages) or not isinstance(about["config"], str):
+    wanted = [*force, *([] if until is None else [until])] if isinstance(force, list) else [None]
+    stages = [stage for stage in wanted if isinstance(stage, str)]
+    if len(stages) < len(wanted) or not isinstance(about["config"], str):
         return "its settings have values of a wrong type"
     try:
         check_stages(stages)

@@ -134,9 +134,9 @@ def _check_metric(name: str, value: Any) -> Any:
     kind = _FIGURES[name]
     if type(value) is not kind and not (kind is float and type(value) is int):
         return None
-    if name in _PATH_FIGURES and not is_safe_relative_path(value):
+    if isinstance(value, str) and name in _PATH_FIGURES and not is_safe_relative_path(value):
         return None
-    return value if kind is not float or math.isfinite(value) else None
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def format_csv(rows: Sequence[Mapping[str, Any]]) -> bytes:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -36,7 +38,7 @@ def choose_resolution(mesh: Mesh, expected_triangles: int, threads: int) -> floa
     if not total > 0:
         return 1.0  # no edge has a length; the value has no effect
     mean = float(np.square(lengths).sum()) / total
-    expected_mean = mean * (len(lengths) / max(expected_triangles, 1)) ** 0.5
+    expected_mean = mean * math.sqrt(len(lengths) / max(expected_triangles, 1))
     resolution = max(_PER_INPUT_EDGE * mean, _PER_EXPECTED_EDGE * expected_mean)
     while _count_split_triangles(lengths, resolution) > _MAX_SPLIT_RATIO * len(lengths):
         resolution *= 1.1
