@@ -106,8 +106,8 @@ MUTANTS: dict[str, Mutant] = {
     "fold": Mutant(
         "no triangle turns over",
         _LEGALITY,
-        "if cosine < least * (old_area2 * new_area2).sqrt() {",
-        "if cosine < -2.0 * (old_area2 * new_area2).sqrt() {",
+        "let folds = dot(&reference, &new) < least * (old_area2 * new_area2).sqrt();",
+        "let folds = dot(&reference, &new) < -2.0 * (old_area2 * new_area2).sqrt();",
         "no_triangle_turns_over",
     ),
     "needle": Mutant(

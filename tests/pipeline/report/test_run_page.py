@@ -86,7 +86,7 @@ def test_no_other_file_gets_into_a_page(out: Path, name: object, said: str) -> N
         make_run_page(out, 5_000_000)
 
 
-@pytest.mark.parametrize("key", ["make_frame", "world_from_camera", "size", "fy", "photo"])
+@pytest.mark.parametrize("key", ["frame", "world_from_camera", "size", "fy", "photo"])
 @pytest.mark.parametrize("value", [..., "x", [], [0, 2], {}, -1, float("nan")])
 def test_damaged_cameras_are_an_input_error(out: Path, key: str, value: object) -> None:
     def damaged(told: dict[str, Any]) -> None:

@@ -505,7 +505,7 @@ def test_real_settings_and_camchains(shared_data):
 @pytest.mark.parametrize(
     ("line", "message"),
     [
-        ("Camera.bf: 1" + "0" * 390, "the extrinsics are missing"),
+        ("Camera.bf: 1" + "0" * 390, "baseline is 'inf'"),
         ("Camera.bf: nothing", "the extrinsics are missing"),
         ("Camera2.fx: 1\nTlr: [1, 2, 3]", "the extrinsics of the cameras must be 4x4|the file has no camera"),
     ],

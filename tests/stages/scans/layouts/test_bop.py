@@ -99,7 +99,7 @@ def test_entries_without_image_are_reported(scan_folder, tiny):
     [
         (None, "has no entry for this image"),
         (entry(np.eye(4), cam_K=[1, 2]), "cam_K must be a list of 9 numbers"),
-        (entry(np.eye(4), cam_t_w2c=[0, 0, 10**400]), "cam_t_w2c is not a matrix of numbers"),
+        (entry(np.eye(4), cam_t_w2c=[0, 0, 10**400]), "a value that is not finite"),
         (entry(np.eye(4), depth_scale="fine"), "depth_scale is 'fine'"),
         (entry(np.eye(4), depth_scale=0), "depth_scale is 0; it must be positive"),
         (entry(), "the frame has no pose"),
