@@ -210,6 +210,7 @@ def test_the_filter_removes_noise_and_keeps_a_crease():
     assert np.ptp(filter_mesh(noisy).vertices[:, 2]) == pytest.approx(np.ptp(noisy.vertices[:, 2]), abs=0.01)
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("default")
 def test_the_bench_prints_a_row_per_surface(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
