@@ -65,7 +65,7 @@ def _format_deviation(result: SimplificationResult[Any], original: Mesh) -> str:
     found = compare(original, result.mesh, CompareParams(samples=_SAMPLES))
     off = found.symmetric
     return (
-        f"at most {off.maximum:.3g} m, {off.maximum / found.diagonal:.2%} of the size; {off.rms:.3g} m RMS "
+        f"up to {off.maximum:.3g} m, {off.maximum / found.diagonal:.2%} of the size; {off.rms:.3g} m RMS "
         f"(measured at {format_count(2 * _SAMPLES, 'point')} and all vertices)"
     )
 

@@ -124,9 +124,9 @@ def compute_marked_weight(
 ) -> Floats:
     """Compute lambda_d = d1 d2, equation (4), of nodes (n,).
 
-    In the paper, d1 is 1 for nodes of the handle, else 0, and d2 is the node's ratio of all constrained
-    vertices (the number at the root, the first node). No leaf then exceeds 0.5 once three nodes share the
-    constrained vertices, and a handle is not refined.
+    In the paper, d1 is 1 for nodes of the handle and 0 for others, and d2 is the ratio of the constrained
+    vertices that belong to the node (relative to their number at the root, the first node). If three nodes
+    share the constrained vertices, no leaf exceeds 0.5, and the handle is not refined.
 
     By the corrected rule, nodes of the handle weigh 1, and are therefore refined completely. Other nodes
     weigh the ratio of their own vertices that are constrained.

@@ -1,7 +1,7 @@
 """Cross products and lengths of many vectors.
 
-The results are bit-identical to those of NumPy's `cross` and `linalg.norm`, in a fraction of the time: NumPy
-handles rows of three numbers one by one.
+The results are bit-identical to NumPy's `cross` and `linalg.norm`, which take several times as long, because
+NumPy processes rows of three numbers one by one.
 """
 
 from __future__ import annotations

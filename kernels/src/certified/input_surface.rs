@@ -1,6 +1,7 @@
 //! The input surface, with nearest points found by walking from a vertex.
 
 use crate::base::geometry::{Vec3, cross, dot, nearest_on_triangle, norm2, position_of, sub};
+use crate::mesh::vertex_triangles::VertexTriangles;
 
 /// A nearest point on the surface.
 #[derive(Clone, Copy, Debug)]
@@ -18,31 +19,19 @@ pub struct NearestPoint<const D: usize> {
 pub struct InputSurface<const D: usize> {
     pub points: Vec<[f64; D]>,
     pub triangles: Vec<[u32; 3]>,
-    /// Triangles around vertex v: `around[starts[v]..starts[v + 1]]`.
-    starts: Vec<u32>,
-    around: Vec<u32>,
+    stars: VertexTriangles,
 }
 
 impl<const D: usize> InputSurface<D> {
     pub fn new(points: Vec<[f64; D]>, triangles: Vec<[u32; 3]>) -> Self {
-        let mut starts = vec![0u32; points.len() + 1];
-        triangles.iter().flatten().for_each(|&v| starts[v as usize + 1] += 1);
-        (0..points.len()).for_each(|v| starts[v + 1] += starts[v]);
-        let mut free = starts.clone();
-        let mut around = vec![0; 3 * triangles.len()];
-        for (t, corners) in triangles.iter().enumerate() {
-            for &v in corners {
-                around[free[v as usize] as usize] = t as u32;
-                free[v as usize] += 1;
-            }
-        }
-        Self { points, triangles, starts, around }
+        let stars = VertexTriangles::new(points.len(), &triangles);
+        Self { points, triangles, stars }
     }
 
     /// Return the triangles around a vertex.
     #[inline]
     pub fn triangles_around(&self, v: u32) -> &[u32] {
-        &self.around[self.starts[v as usize] as usize..self.starts[v as usize + 1] as usize]
+        self.stars.around(v)
     }
 
     /// Find a nearby point of the surface by a greedy walk.

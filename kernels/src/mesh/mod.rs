@@ -9,6 +9,7 @@
 //! | [`bvh`] | bounding volume hierarchy |
 //! | [`self_intersections`] | self-intersections |
 //! | [`spatial_order`] | Z-order of vertices and triangles |
+//! | [`vertex_triangles`] | triangles around each vertex, without halfedges |
 //! | [`validation`] | checks of all invariants of the connectivity, for tests |
 
 pub mod bvh;
@@ -20,3 +21,4 @@ pub mod self_intersections;
 pub mod spatial_order;
 pub mod triangle_mesh;
 pub mod validation;
+pub mod vertex_triangles;

@@ -1,4 +1,4 @@
-//! Removal of independent vertices, the fast first part of a simplification to few triangles.
+//! Removal of independent vertices: the fast first part of a simplification to few triangles.
 //!
 //! ```text
 //! until few enough triangles are left, or little is removed:
@@ -6,9 +6,9 @@
 //!     from the cheapest vertex on: collapse it, unless it or its neighbour is the end of another collapse
 //! ```
 //!
-//! There is no heap, no vertex moves and no quadric is updated, so a collapse costs a quarter of one of the
-//! collapse engine. What these collapses lose against optimal positions is small beside the error of the
-//! collapses that follow, which place vertices freely.
+//! There is no heap, no vertex moves and no quadric is updated, so a collapse costs about a quarter of one in
+//! the collapse engine. Vertices are not at optimal positions, but the error that this causes is small relative
+//! to the error of the collapses that follow, which place vertices freely.
 
 use crate::base::errors::KernelError;
 use crate::base::geometry::{add_scaled, cross, distance2, position_of, sub};
@@ -20,11 +20,12 @@ use crate::collapse::engine::Merge;
 use crate::collapse::rounds::Goal;
 use crate::collapse::whole_mesh::WholeMesh;
 use crate::mesh::collapse_legality::keeps_triangle;
+use crate::mesh::vertex_triangles::VertexTriangles;
 use crate::quadric::qem::QemState;
 use crate::quadrics::lanes::{self, LaneVec3, Lanes};
 
-/// Ratio of the vertices that a pass may remove, the cheapest ones. A larger one saves passes, but removes
-/// detail beside flat places.
+/// A pass considers only this ratio of the vertices, the cheapest ones. A larger ratio needs fewer passes, but
+/// removes detail while flat places still have vertices to remove.
 const CONSIDERED_RATIO: f64 = 0.5;
 
 /// A pass that removes a smaller ratio of the triangles is the last one.
@@ -84,16 +85,16 @@ pub fn remove_independent_vertices<const D: usize, const K: usize>(
         let before = mesh.triangles.len();
         progress.report((at_start - before) as u64, (at_start - goal.triangles) as u64)?;
         let stars = VertexTriangles::new(mesh.points.len(), &mesh.triangles);
-        let surroundings = Surroundings { mesh: &mesh, state: &state, stars: &stars, scale };
+        let pass_mesh = PassMesh { mesh: &mesh, state: &state, stars: &stars, scale };
         update(&mut removals, goal.threads, |v, removal| {
             let is_stale = changed[v] || changed.get(removal.into as usize) == Some(&true);
             if is_stale {
-                *removal = surroundings.find_best(v as u32);
+                *removal = pass_mesh.find_best(v as u32);
             }
         });
         let queue = find_cheapest(&removals, before);
         changed.fill(false);
-        let chosen = surroundings.choose(&queue, &mut removals, left, &mut into, &mut changed);
+        let chosen = pass_mesh.collapse_independent(&queue, &mut removals, left, &mut into, &mut changed);
         drop(stars);
         logs.push(log_removals(&mesh, &chosen, logs.len()));
         if !state.importance.is_empty() {
@@ -121,35 +122,6 @@ fn mean_side<const D: usize>(mesh: &WholeMesh<D, ()>) -> f64 {
     (sum / (3 * mesh.triangles.len()) as f64).sqrt()
 }
 
-/// Triangles around each vertex: those of `v` are `triangles[starts[v]..starts[v + 1]]`.
-struct VertexTriangles {
-    starts: Vec<u32>,
-    triangles: Vec<u32>,
-}
-
-impl VertexTriangles {
-    fn new(vertices: usize, triangles: &[[u32; 3]]) -> Self {
-        let mut starts = vec![0; vertices + 1];
-        triangles.as_flattened().iter().for_each(|&v| starts[v as usize + 1] += 1);
-        for v in 0..vertices {
-            starts[v + 1] += starts[v];
-        }
-        let mut next = starts.clone();
-        let mut around = vec![0; 3 * triangles.len()];
-        for (t, corners) in triangles.iter().enumerate() {
-            for &v in corners {
-                around[next[v as usize] as usize] = t as u32;
-                next[v as usize] += 1;
-            }
-        }
-        Self { starts, triangles: around }
-    }
-
-    fn around(&self, v: u32) -> &[u32] {
-        &self.triangles[self.starts[v as usize] as usize..self.starts[v as usize + 1] as usize]
-    }
-}
-
 /// Neighbours of an interior vertex, counter-clockwise.
 struct Ring {
     vertices: [u32; MAX_VALENCE],
@@ -170,16 +142,16 @@ impl Ring {
     }
 }
 
-/// What the removal of a vertex depends on.
-struct Surroundings<'a, const D: usize, const K: usize> {
+/// Mesh between two passes, with everything that the removal of a vertex depends on.
+struct PassMesh<'a, const D: usize, const K: usize> {
     mesh: &'a WholeMesh<D, ()>,
     state: &'a QemState<K>,
     stars: &'a VertexTriangles,
-    /// Factor on lengths, because squares of squares of very small ones underflow.
+    /// Factor on lengths, because fourth powers of very small lengths underflow.
     scale: f64,
 }
 
-impl<const D: usize, const K: usize> Surroundings<'_, D, K> {
+impl<const D: usize, const K: usize> PassMesh<'_, D, K> {
     /// Find the collapse of a vertex with the smallest error; it may be illegal.
     fn find_best(&self, v: u32) -> Removal {
         if self.mesh.locked.get(v as usize) == Some(&true) {
@@ -194,12 +166,12 @@ impl<const D: usize, const K: usize> Surroundings<'_, D, K> {
         Removal { error: errors[best], into: ring.vertices[best] }
     }
 
-    /// Collapse vertices of the queue in turn; returns the collapses.
+    /// Collapse the vertices of a queue in turn; returns the collapses.
     ///
-    /// No vertex is an end of two collapses, so the triangles of both ends are known: those of before, with
-    /// corners at vertices that have been collapsed redirected. `into` is updated, and vertices whose triangles
-    /// change are marked. Leaves at least about `left` triangles.
-    fn choose(
+    /// No vertex is an end of two collapses of a pass. Therefore, the triangles of both ends follow from the
+    /// triangles before the pass, with the corners at collapsed vertices redirected. Updates `into`, and marks
+    /// the vertices whose triangles change. Stops when about `left` triangles are left.
+    fn collapse_independent(
         &self,
         queue: &[u32],
         removals: &mut [Removal],
@@ -304,8 +276,8 @@ impl<const D: usize, const K: usize> Surroundings<'_, D, K> {
 
     /// Compute the error of the collapse of a vertex into each of its neighbours.
     ///
-    /// The quadric of the current triangles, relative to the vertex itself: there, it is zero, and so are its
-    /// linear term and its constant. Single precision suffices to compare.
+    /// The errors are those of the quadric of the current triangles, with the vertex as the origin. Its linear
+    /// term and its constant are then zero. Single precision suffices to compare errors.
     fn compute_errors(&self, centre: u32, ring: &Ring) -> [f32; MAX_VALENCE] {
         let own = &self.mesh.points[centre as usize];
         // Coordinates and attributes of the neighbours; the first neighbour comes again after the last one.

@@ -5,8 +5,8 @@
 //! the shape that it had. What stays folded returns to where it was.
 
 use crate::base::geometry::{Vec3, add_scaled, cross, dot, norm2, sub};
-use crate::base::ids::TriangleId;
-use crate::base::parallel::{collect, update};
+use crate::base::ids::{TriangleId, VertexId};
+use crate::base::parallel::collect;
 use crate::mesh::connectivity::Connectivity;
 
 /// Passes in which the corners of folded triangles move alike, and further ones in which their moves are halved.
@@ -27,56 +27,54 @@ pub fn undo_folds(
     points: &mut [Vec3],
     references: &[Vec3],
     min_cosine: f64,
-    limit: impl Fn(usize, Vec3) -> Vec3 + Sync,
+    limit: impl Fn(usize, Vec3) -> Vec3,
     threads: usize,
 ) {
+    let is_folded = |points: &[Vec3], t: u32| {
+        let corners = connectivity.corners(TriangleId(t)).map(|v| points[v.index()]);
+        let normal = cross(&sub(&corners[1], &corners[0]), &sub(&corners[2], &corners[0]));
+        let reference = &references[t as usize];
+        dot(&normal, reference) < min_cosine * (norm2(&normal) * norm2(reference)).sqrt()
+    };
+    let flags = collect(connectivity.triangle_slots(), threads, |t| is_folded(points, t as u32));
+    let mut folded: Vec<u32> = (0..).zip(flags).filter(|(_, is_folded)| *is_folded).map(|(t, _)| t).collect();
     let mut halvings = vec![0u8; from.len()];
     for pass in 0..ALIGNING_PASSES + HALVING_PASSES {
-        let is_folded: Vec<bool> = collect(connectivity.triangle_slots(), threads, |t| {
-            let corners = connectivity.corners(TriangleId::from_index(t)).map(|v| points[v.index()]);
-            let normal = cross(&sub(&corners[1], &corners[0]), &sub(&corners[2], &corners[0]));
-            let lengths = (norm2(&normal) * norm2(&references[t])).sqrt();
-            dot(&normal, &references[t]) < min_cosine * lengths
-        });
-        // By vertex of a folded triangle: the sum of the mean moves of these triangles, and their number.
-        let mut sums: Vec<(Vec3, f64)> = vec![([0.0; 3], 0.0); from.len()];
-        let mut is_done = true;
-        for (t, _) in is_folded.iter().enumerate().filter(|(_, folded)| **folded) {
-            let corners = connectivity.corners(TriangleId::from_index(t)).map(|v| v.index());
-            let mean = corners
-                .iter()
-                .fold([0.0; 3], |mean, &v| add_scaled(&mean, 1.0 / 3.0, &sub(&points[v], &from[v])));
-            for v in corners {
-                let (sum, count) = &mut sums[v];
-                *sum = add_scaled(sum, 1.0, &mean);
-                *count += 1.0;
-                is_done &= points[v] == from[v];
-            }
-        }
-        if is_done {
+        // Each corner with the mean move of its folded triangle.
+        let mut moves: Vec<(u32, Vec3)> = folded
+            .iter()
+            .flat_map(|&t| {
+                let corners = connectivity.corners(TriangleId(t));
+                let mean = corners
+                    .iter()
+                    .map(|v| v.index())
+                    .fold([0.0; 3], |mean, v| add_scaled(&mean, 1.0 / 3.0, &sub(&points[v], &from[v])));
+                corners.map(|v| (v.0, mean))
+            })
+            .collect();
+        if moves.iter().all(|(v, _)| points[*v as usize] == from[*v as usize]) {
             return;
         }
-        let is_aligning = pass < ALIGNING_PASSES;
-        if !is_aligning {
-            update(&mut halvings, threads, |v, halved| {
-                *halved = halved.saturating_add(u8::from(sums[v].1 > 0.0));
-            });
-        }
-        update(points, threads, |v, point| {
-            let (sum, count) = &sums[v];
-            if *count == 0.0 {
-                return;
-            }
-            let own = sub(point, &from[v]);
-            *point = if is_aligning {
-                let alike = sum.map(|x| 0.5 * x / count);
+        moves.sort_by_key(|(v, _)| *v);
+        let mut around: Vec<u32> = vec![];
+        for corners in moves.chunk_by(|a, b| a.0 == b.0) {
+            let v = corners[0].0 as usize;
+            let own = sub(&points[v], &from[v]);
+            points[v] = if pass < ALIGNING_PASSES {
+                let sum = corners.iter().fold([0.0; 3], |sum, (_, mean)| add_scaled(&sum, 1.0, mean));
+                let alike = sum.map(|x| 0.5 * x / corners.len() as f64);
                 limit(v, add_scaled(&add_scaled(&from[v], 1.0, &alike), 0.5, &own))
-            } else if halvings[v] <= MAX_HALVINGS {
-                add_scaled(&from[v], 0.5, &own)
             } else {
-                from[v]
+                halvings[v] += 1;
+                if halvings[v] <= MAX_HALVINGS { add_scaled(&from[v], 0.5, &own) } else { from[v] }
             };
-        });
+            around.extend(connectivity.fan(VertexId(v as u32)).map(|h| Connectivity::triangle(h).0));
+        }
+        // Only triangles of vertices that have moved can have changed.
+        around.sort_unstable();
+        around.dedup();
+        around.retain(|&t| is_folded(points, t));
+        folded = around;
     }
 }
 

@@ -1,7 +1,7 @@
 //! Simplification by regions: valid for any partition, bit-identical for any number of threads, and as far as
 //! requested.
 
-use crate::promises::common::{Noise, Triangles, coloured, gallery, sheet, sheet_with_hole, torus};
+use crate::promises::common::{Noise, Triangles, coloured, large_gallery, sheet, sheet_with_hole, torus};
 use scanloom_kernels::base::errors::KernelError;
 use scanloom_kernels::base::geometry::{Vec3, cross, dot, position_of, sub};
 use scanloom_kernels::base::progress::{Progress, RunControl};
@@ -47,12 +47,7 @@ fn wavy(w: u32, h: u32) -> (Vec<[f64; 6]>, Triangles) {
 
 #[test]
 fn every_partition_keeps_every_invariant() {
-    let (hole, hole_triangles) = sheet_with_hole(12);
-    let (ring, ring_triangles) = torus(40, 30);
-    let mut meshes = gallery();
-    meshes.push(("large sheet with hole", hole, hole_triangles));
-    meshes.push(("large torus", ring, ring_triangles));
-    for (name, points, triangles) in meshes {
+    for (name, points, triangles) in large_gallery() {
         let points = coloured::<6>(&points, 0.1, 1);
         let mesh = Mesh::new(points.clone(), &triangles).unwrap();
         let (topology, vertices) = (mesh.connectivity.topology(), mesh.connectivity.vertices().count());

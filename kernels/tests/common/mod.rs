@@ -95,6 +95,16 @@ pub fn gallery() -> Vec<(&'static str, Vec<[f64; 3]>, Triangles)> {
     ]
 }
 
+/// The gallery, and two larger meshes.
+pub fn large_gallery() -> Vec<(&'static str, Vec<[f64; 3]>, Triangles)> {
+    let (hole, hole_triangles) = sheet_with_hole(12);
+    let (ring, ring_triangles) = torus(40, 30);
+    let mut meshes = gallery();
+    meshes.push(("large sheet with hole", hole, hole_triangles));
+    meshes.push(("large torus", ring, ring_triangles));
+    meshes
+}
+
 fn two_pieces() -> (Vec<[f64; 3]>, Triangles) {
     let (mut points, mut triangles) = sheet(4, 4);
     let first = points.len() as u32;

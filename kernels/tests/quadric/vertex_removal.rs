@@ -1,7 +1,7 @@
 //! Removal of independent vertices: it keeps the surface a manifold of the same topology, its boundary and
 //! locked vertices, and depends neither on the number of threads nor on the unit of length.
 
-use crate::promises::common::{Triangles, coloured, gallery, sheet_with_hole, torus};
+use crate::promises::common::{Triangles, coloured, large_gallery, torus};
 use scanloom_kernels::base::progress::{Progress, RunControl};
 use scanloom_kernels::collapse::collapse_log::{RegionLog, order_for_replay};
 use scanloom_kernels::collapse::rounds::{Goal, REGION_TRIANGLES};
@@ -37,12 +37,7 @@ fn remove(
 
 #[test]
 fn every_mesh_keeps_its_topology_and_boundary() {
-    let (hole, hole_triangles) = sheet_with_hole(12);
-    let (ring, ring_triangles) = torus(40, 30);
-    let mut meshes = gallery();
-    meshes.push(("large sheet with hole", hole, hole_triangles));
-    meshes.push(("large torus", ring, ring_triangles));
-    for (name, points, triangles) in meshes {
+    for (name, points, triangles) in large_gallery() {
         let points = coloured::<6>(&points, 0.1, 1);
         let before = Mesh::new(points.clone(), &triangles).unwrap();
         let (light, _) = remove(&points, &triangles, vec![], vec![], 1, 1);
