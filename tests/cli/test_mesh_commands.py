@@ -461,7 +461,7 @@ def test_images_and_materials_go_beside_the_file_that_a_link_leads_to(scanloom: 
     [
         (
             ("--ratio", 0.5),
-            r"deviation +at most 0\.\d+ m, .* \(measured at 100,000 points and all vertices\)",
+            r"deviation +up to 0\.\d+ m, .* \(measured at 100,000 points and all vertices\)",
         ),
         (("--max-shape", 0.01), r"Proven: no point is more than 0\.01 m"),
         (("--method", "planar"), r"deviation +at most 0\.\d+ m.* \(proven at every point\)"),
