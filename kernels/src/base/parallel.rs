@@ -3,7 +3,7 @@
 
 use std::mem::MaybeUninit;
 use std::sync::atomic::{AtomicUsize, Ordering::Relaxed};
-use std::sync::{Mutex, OnceLock};
+use std::sync::{Mutex, OnceLock, PoisonError};
 use std::thread::{self, Scope, ScopedJoinHandle};
 
 use super::memory_reserve;
@@ -24,6 +24,22 @@ pub fn spawn_if_possible<'scope, T: Send + 'scope>(
     thread::Builder::new().spawn_scoped(scope, work).ok()
 }
 
+/// Run `work` on up to `others` other threads and `own` on this one, and wait for all. A panic is resumed.
+///
+/// The closures have no type parameters: the code that starts threads would otherwise be compiled for each
+/// of hundreds of loops.
+fn run_beside(others: usize, work: &(dyn Fn() + Sync), own: &mut dyn FnMut()) {
+    thread::scope(|scope| {
+        let others: Vec<_> = (0..others).map_while(|_| spawn_if_possible(scope, work)).collect();
+        own();
+        for other in others {
+            if let Err(panic) = other.join() {
+                std::panic::resume_unwind(panic);
+            }
+        }
+    });
+}
+
 /// Call `work` for every index below `count`, and return the results in index order. Each thread creates its
 /// `scratch` once.
 ///
@@ -40,28 +56,21 @@ pub fn map<T: Send, S>(
         return (0..count).map(|part| work(&mut scratch, part)).collect();
     }
     let next = AtomicUsize::new(0);
+    let all = Mutex::new(Vec::with_capacity(count));
     let run = || {
         let mut scratch = scratch();
-        let mut done = vec![];
+        let mut done: Vec<(usize, T)> = vec![];
         loop {
             let part = next.fetch_add(1, Relaxed);
             if part >= count {
-                return done;
+                break;
             }
             done.push((part, work(&mut scratch, part)));
         }
+        all.lock().unwrap_or_else(PoisonError::into_inner).append(&mut done);
     };
-    let mut results: Vec<(usize, T)> = thread::scope(|scope| {
-        let others: Vec<_> = (1..threads).map_while(|_| spawn_if_possible(scope, run)).collect();
-        let mut all = run();
-        for other in others {
-            match other.join() {
-                Ok(done) => all.extend(done),
-                Err(panic) => std::panic::resume_unwind(panic),
-            }
-        }
-        all
-    });
+    run_beside(threads - 1, &run, &mut || run());
+    let mut results = all.into_inner().unwrap_or_else(PoisonError::into_inner);
     results.sort_unstable_by_key(|r| r.0);
     results.into_iter().map(|r| r.1).collect()
 }
@@ -109,10 +118,7 @@ pub fn for_each_part<T: Send>(parts: Vec<T>, threads: usize, work: impl Fn(T) + 
             work(part);
         }
     };
-    thread::scope(|scope| {
-        let _others: Vec<_> = (1..threads).map_while(|_| spawn_if_possible(scope, run)).collect();
-        run();
-    });
+    run_beside(threads.saturating_sub(1), &run, &mut || run());
 }
 
 /// Run two closures concurrently if a second thread is available, otherwise one after the other.
@@ -128,9 +134,11 @@ pub fn run_concurrently(threads: usize, one: impl FnOnce() + Send, other: impl F
             one();
         }
     };
-    thread::scope(|scope| {
-        let _other = spawn_if_possible(scope, run);
-        other();
+    let mut other = Some(other);
+    run_beside(1, &run, &mut || {
+        if let Some(other) = other.take() {
+            other();
+        }
     });
     // No thread was available for `one`.
     run();

@@ -37,7 +37,7 @@ pub struct MeshInputs<'py> {
 }
 
 impl MeshInputs<'_> {
-    /// Return the attributes per vertex: 0, 1 (intensity) or 3 (RGB) are valid, else [`unsupported_attributes`].
+    /// Return the attributes per vertex: 0 or 3 (RGB) are valid, else [`unsupported_attributes`].
     pub fn attribute_count(&self) -> usize {
         self.attributes.shape()[1]
     }
@@ -70,7 +70,7 @@ impl MeshInputs<'_> {
 
 /// Make the error for an unsupported number of attributes.
 pub fn unsupported_attributes(k: usize) -> PyErr {
-    PyValueError::new_err(format!("{k} attributes per vertex; 0, 1 (intensity) or 3 (RGB) are supported"))
+    PyValueError::new_err(format!("{k} attributes per vertex; 0 or 3 (RGB) are supported"))
 }
 
 /// Copy vertices and attributes into points; checks their shapes.

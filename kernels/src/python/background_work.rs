@@ -26,6 +26,24 @@ pub fn run_detached<R: Send>(
     partial: bool,
     work: impl FnOnce(&mut Progress) -> Result<R, KernelError> + Send,
 ) -> PyResult<R> {
+    let (mut work, mut result) = (Some(work), None);
+    watch_thread(py, progress, partial, &mut |progress| result = work.take().map(|work| work(progress)))?;
+    match result {
+        Some(result) => result.map_err(PyErr::from),
+        None => Err(KernelError::OutOfMemory.into()),
+    }
+}
+
+/// Run `work` on a separate thread and wait for it, as [`run_detached`] says. Without type parameters, so that
+/// it is compiled only once.
+///
+/// Returns without having called `work` if no thread is available.
+fn watch_thread(
+    py: Python<'_>,
+    progress: Option<&Py<PyAny>>,
+    partial: bool,
+    work: &mut (dyn FnMut(&mut Progress) + Send),
+) -> PyResult<()> {
     let control = RunControl::default();
     let mut raised: Option<PyErr> = None;
     let outcome = py.detach(|| {
@@ -69,8 +87,7 @@ pub fn run_detached<R: Send>(
         return Err(error);
     }
     match outcome {
-        None => Err(KernelError::OutOfMemory.into()),
-        Some(Ok(Ok(result))) => result.map_err(PyErr::from),
+        None | Some(Ok(Ok(()))) => Ok(()),
         _ => Err(PyRuntimeError::new_err(
             "internal error in the mesh kernels; please report it with the mesh that causes it",
         )),

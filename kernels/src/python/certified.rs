@@ -70,7 +70,6 @@ pub fn simplify_certified(
         };
         match inputs.attribute_count() {
             0 => simplify_points::<3, 0>(py, &inputs, locked, &options, &running, &progress),
-            1 => simplify_points::<4, 1>(py, &inputs, locked, &options, &running, &progress),
             3 => simplify_points::<6, 3>(py, &inputs, locked, &options, &running, &progress),
             k => Err(unsupported_attributes(k)),
         }

@@ -58,10 +58,9 @@ pub fn certify(
     with_memory_reserve(rows(&result) + rows(&original), || {
         match (result.1.shape()[1], original.1.shape()[1]) {
             (0, 0) => certify_points::<3>(py, &result, &original, &options, &progress),
-            (1, 1) => certify_points::<4>(py, &result, &original, &options, &progress),
             (3, 3) => certify_points::<6>(py, &result, &original, &options, &progress),
             (a, b) => Err(PyValueError::new_err(format!(
-                "{a} and {b} attributes per vertex; 0, 1 (intensity) or 3 (RGB) in both meshes are supported"
+                "{a} and {b} attributes per vertex; 0 or 3 (RGB) in both meshes are supported"
             ))),
         }
     })

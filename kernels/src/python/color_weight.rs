@@ -29,7 +29,6 @@ pub fn choose_color_weight(
     let inputs = MeshInputs { vertices, attributes, triangles };
     with_memory_reserve(inputs.row_count(), || match inputs.attribute_count() {
         0 => Ok(0.0),
-        1 => weight_of_points::<4, 1>(py, &inputs, target, run_trial, wanted_threads),
         3 => weight_of_points::<6, 3>(py, &inputs, target, run_trial, wanted_threads),
         k => Err(unsupported_attributes(k)),
     })

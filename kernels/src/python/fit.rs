@@ -46,7 +46,6 @@ pub fn fit(
         let locked = result.per_vertex("locked", &locked)?;
         match result.attribute_count() {
             0 => fit_points::<3>(py, &result, locked, &original, &became, threads, &progress),
-            1 => fit_points::<4>(py, &result, locked, &original, &became, threads, &progress),
             3 => fit_points::<6>(py, &result, locked, &original, &became, threads, &progress),
             k => Err(unsupported_attributes(k)),
         }

@@ -4,7 +4,7 @@ use numpy::{PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray1, PyReadonlyArra
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 
-use super::arrays::{Attributes, MeshInputs, column_array, id_array, triangle_array, unsupported_attributes};
+use super::arrays::{Attributes, MeshInputs, column_array, id_array, triangle_array};
 use super::background_work::run_detached;
 use super::memory_guard::with_memory_reserve;
 use super::simplification_result::{RunSettings, SimplificationResult};
@@ -74,7 +74,9 @@ pub fn simplify(
             0 => simplify_points::<3>(py, &inputs, locked, &options, &running, &progress),
             1 => simplify_points::<4>(py, &inputs, locked, &options, &running, &progress),
             3 => simplify_points::<6>(py, &inputs, locked, &options, &running, &progress),
-            k => Err(unsupported_attributes(k)),
+            k => Err(PyValueError::new_err(format!(
+                "{k} attributes per vertex; 0, 1 (intensity) or 3 (RGB) are supported"
+            ))),
         }
     })
 }

@@ -108,7 +108,6 @@ pub fn build_levels(
         };
         match inputs.attribute_count() {
             0 => build_points::<3, 0>(py, &inputs, &options, &running, &progress),
-            1 => build_points::<4, 1>(py, &inputs, &options, &running, &progress),
             3 => build_points::<6, 3>(py, &inputs, &options, &running, &progress),
             k => Err(unsupported_attributes(k)),
         }

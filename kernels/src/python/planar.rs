@@ -142,7 +142,6 @@ pub fn simplify_planar(
         let options = planar_options(&labels, inputs.triangles.as_array().nrows(), cosines, bounds, threads)?;
         match inputs.attribute_count() {
             0 => simplify_points::<3, 0>(py, &inputs, &locked, &options, partial, &progress),
-            1 => simplify_points::<4, 1>(py, &inputs, &locked, &options, partial, &progress),
             3 => simplify_points::<6, 3>(py, &inputs, &locked, &options, partial, &progress),
             k => Err(unsupported_attributes(k)),
         }
@@ -200,7 +199,6 @@ pub fn find_planar_patches(
         let options = planar_options(&labels, inputs.triangles.as_array().nrows(), cosines, bounds, threads)?;
         match inputs.attribute_count() {
             0 => patches_of_points::<3, 0>(py, &inputs, &options, &progress),
-            1 => patches_of_points::<4, 1>(py, &inputs, &options, &progress),
             3 => patches_of_points::<6, 3>(py, &inputs, &options, &progress),
             k => Err(unsupported_attributes(k)),
         }

@@ -48,7 +48,6 @@ pub fn simplify_by_quadrics(
         let importance = inputs.per_vertex("importance", &importance)?;
         match inputs.attribute_count() {
             0 => simplify_points::<3, 0>(py, &inputs, locked, importance, weight, &running, &progress),
-            1 => simplify_points::<4, 1>(py, &inputs, locked, importance, weight, &running, &progress),
             3 => simplify_points::<6, 3>(py, &inputs, locked, importance, weight, &running, &progress),
             k => Err(unsupported_attributes(k)),
         }

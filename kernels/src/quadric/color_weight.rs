@@ -184,11 +184,11 @@ mod tests {
 
     const LOW: Vec3 = [0.0, 0.0, -1.0];
 
-    fn ramp(bump: f64, stripes: f64) -> (Vec<[f64; 4]>, Vec<[u32; 3]>) {
+    fn ramp(bump: f64, stripes: f64) -> (Vec<[f64; 6]>, Vec<[u32; 3]>) {
         let n = 60;
         let wave = |x: u32| if x.is_multiple_of(2) { 1.0 } else { -1.0 };
         let point = |x: u32, y: u32| {
-            [f64::from(x), f64::from(y), bump * wave(x), 2.0 * f64::from(x) + stripes * wave(y)]
+            [f64::from(x), f64::from(y), bump * wave(x), 2.0 * f64::from(x) + stripes * wave(y), 0.0, 0.0]
         };
         let points = (0..=n).flat_map(|y| (0..=n).map(move |x| point(x, y))).collect();
         let square = |x, y| {

@@ -226,10 +226,10 @@ mod tests {
     use crate::base::progress::RunControl;
 
     /// Build a sheet of n² squares with heights `z` and a fine colour pattern.
-    fn sheet(n: u32, z: impl Fn(f64, f64) -> f64) -> (Vec<[f64; 4]>, Vec<[u32; 3]>) {
+    fn sheet(n: u32, z: impl Fn(f64, f64) -> f64) -> (Vec<[f64; 6]>, Vec<[u32; 3]>) {
         let point = |x: u32, y: u32| {
             let (u, v) = (f64::from(x), f64::from(y));
-            [u, v, z(u, v), f64::from(x * 7 % 11 + y * 5 % 13) * 20.0]
+            [u, v, z(u, v), f64::from(x * 7 % 11 + y * 5 % 13) * 20.0, 0.0, 0.0]
         };
         let points = (0..=n).flat_map(|y| (0..=n).map(move |x| (x, y))).map(|(x, y)| point(x, y)).collect();
         let square = |x, y| {
@@ -239,10 +239,10 @@ mod tests {
         (points, (0..n).flat_map(|y| (0..n).flat_map(move |x| square(x, y))).collect())
     }
 
-    fn find_weight(mesh: &(Vec<[f64; 4]>, Vec<[u32; 3]>), weight: f64, threads: usize) -> f64 {
+    fn find_weight(mesh: &(Vec<[f64; 6]>, Vec<[u32; 3]>), weight: f64, threads: usize) -> f64 {
         let control = RunControl::default();
         let target = mesh.1.len() / 10;
-        find_max_color_weight::<4, 1>(&mesh.0, &mesh.1, target, weight, threads, &mut Progress::new(&control))
+        find_max_color_weight::<6, 3>(&mesh.0, &mesh.1, target, weight, threads, &mut Progress::new(&control))
             .unwrap()
     }
 
@@ -257,7 +257,7 @@ mod tests {
         let control = RunControl::default();
         let error = |weight| {
             let left = sample.triangles.len() / 10;
-            sample.shape_error::<1>(left, weight, 1, &mut Progress::new(&control)).unwrap().unwrap()
+            sample.shape_error::<3>(left, weight, 1, &mut Progress::new(&control)).unwrap().unwrap()
         };
         assert!(error(0.1) > MAX_SHAPE_ERROR_RATIO * error(0.0));
         assert!(error(weight) <= MAX_SHAPE_ERROR_RATIO * error(0.0));
@@ -301,7 +301,7 @@ mod tests {
     #[test]
     fn a_mesh_that_is_one_point_keeps_the_weight() {
         let (points, triangles) = sheet(30, |u, v| (u * v).sin());
-        let one = points.iter().map(|p| [1.0, 2.0, 3.0, p[3]]).collect();
+        let one = points.iter().map(|p| [1.0, 2.0, 3.0, p[3], 0.0, 0.0]).collect();
         assert_eq!(find_weight(&(one, triangles), 0.5, 1), 0.5);
     }
 

@@ -11,12 +11,12 @@ use scanloom_kernels::mesh::connectivity::Connectivity;
 use scanloom_kernels::quadric::qem::QemState;
 
 /// A remaining triangle: its input index, the input indices of its corners, and their positions.
-type RemainingTriangle = (u32, [u32; 3], [[f64; 4]; 3]);
+type RemainingTriangle = (u32, [u32; 3], [[f64; 6]; 3]);
 
 /// Simplify to a tenth in small regions; returns the remaining triangles and the logs.
-fn simplified(points: &[[f64; 4]], triangles: &Triangles) -> (Vec<RemainingTriangle>, Vec<RegionLog<4>>) {
-    let whole = WholeMesh::<4, ()>::new(points.to_vec(), triangles.clone(), vec![]).unwrap();
-    let records = QemState::<1> { weight: 0.01, importance: vec![] };
+fn simplified(points: &[[f64; 6]], triangles: &Triangles) -> (Vec<RemainingTriangle>, Vec<RegionLog<6>>) {
+    let whole = WholeMesh::<6, ()>::new(points.to_vec(), triangles.clone(), vec![]).unwrap();
+    let records = QemState::<3> { weight: 0.01, importance: vec![] };
     let goal = Goal {
         triangles: triangles.len() / 10,
         threads: 2,
@@ -33,16 +33,16 @@ fn simplified(points: &[[f64; 4]], triangles: &Triangles) -> (Vec<RemainingTrian
     (left.collect(), outcome.logs)
 }
 
-fn remaining_triangles(history: &History<'_, 4>, triangles: &Triangles) -> Triangles {
+fn remaining_triangles(history: &History<'_, 6>, triangles: &Triangles) -> Triangles {
     (0..triangles.len() as u32).filter_map(|t| history.corners(t)).collect()
 }
 
-fn meshes() -> Vec<(&'static str, Vec<[f64; 4]>, Triangles)> {
+fn meshes() -> Vec<(&'static str, Vec<[f64; 6]>, Triangles)> {
     let mut all = gallery();
     let (points, triangles) = torus(24, 16);
     all.push(("large torus", points, triangles));
     all.into_iter()
-        .map(|(name, points, triangles)| (name, coloured::<4>(&points, 0.1, 7), triangles))
+        .map(|(name, points, triangles)| (name, coloured::<6>(&points, 0.1, 7), triangles))
         .collect()
 }
 
@@ -102,7 +102,7 @@ fn undo_keeps_the_topology() {
 #[test]
 fn undo_affects_only_dependent_collapses() {
     let (points, triangles) = torus(24, 16);
-    let points = coloured::<4>(&points, 0.1, 7);
+    let points = coloured::<6>(&points, 0.1, 7);
     let (_, logs) = simplified(&points, &triangles);
     let original = InputSurface::new(points, triangles.clone());
     for number in [0, 40, 150, 250] {

@@ -53,13 +53,13 @@ fn difference<const D: usize>(point: &[f64; D], attributes: &[f64]) -> f64 {
 #[test]
 fn after_every_collapse_all_samples_are_within_their_limits() {
     for (name, points, triangles) in gallery() {
-        let points = coloured::<4>(&points, 0.2, 3);
+        let points = coloured::<6>(&points, 0.2, 3);
         let original = InputSurface::new(points.clone(), triangles.clone());
         let mut factors = vec![1.0; points.len()];
         factors[0] = 0.25;
         let limits =
             SampleLimits { shape: 0.2, color: 60.0, factors, min_needle_ratio: DEFAULT_MIN_NEEDLE_RATIO };
-        let records = BoundedQemState::<4, 1>::new(
+        let records = BoundedQemState::<6, 3>::new(
             &original,
             &limits,
             0.01,
@@ -67,7 +67,7 @@ fn after_every_collapse_all_samples_are_within_their_limits() {
             SampleLists::of_input(&original),
             Rules::default(),
         );
-        let mesh = WholeMesh::<4, ()>::new(points.clone(), triangles.clone(), vec![])
+        let mesh = WholeMesh::<6, ()>::new(points.clone(), triangles.clone(), vec![])
             .unwrap()
             .into_connected()
             .unwrap();
@@ -199,13 +199,13 @@ fn fixed_vertices_stay_and_the_topology_does_too() {
 /// Create two rough sheets close to each other.
 ///
 /// Between samples, the nearest point switches from one sheet to the other.
-fn two_layers() -> (Vec<[f64; 4]>, Vec<[u32; 3]>) {
+fn two_layers() -> (Vec<[f64; 6]>, Vec<[u32; 3]>) {
     let (flat, one) = sheet(40, 40);
     let mut noise = Noise(21);
-    let mut layer = |height: f64, grey: f64| -> Vec<[f64; 4]> {
+    let mut layer = |height: f64, grey: f64| -> Vec<[f64; 6]> {
         let shake = |p: &[f64; 3]| {
             let z = height + 0.3 * (0.4 * p[0]).sin() + 0.06 * noise.next();
-            [p[0], p[1], z, (grey + 40.0 * (0.3 * p[1]).cos() + 6.0 * noise.next()).round()]
+            [p[0], p[1], z, (grey + 40.0 * (0.3 * p[1]).cos() + 6.0 * noise.next()).round(), 0.0, 0.0]
         };
         flat.iter().map(shake).collect()
     };
@@ -234,7 +234,7 @@ fn partitions_are_proven_independently() {
         let apart = SeparatePartitions { partition_index: &part, tolerances: &close };
         let goal = goal(threads, 500);
         let reached =
-            run_loop::<4, 1>(&original, start, vec![], Some(&apart), &options, &goal, progress).unwrap();
+            run_loop::<6, 3>(&original, start, vec![], Some(&apart), &options, &goal, progress).unwrap();
         assert!(reached.proven && reached.state.mesh.triangles.len() < half);
         let mesh = &reached.state.mesh;
         let proven = reached.ledger.bound_partitions(mesh, |_| true, progress).unwrap();
@@ -269,7 +269,7 @@ fn incremental_proof_equals_full_proof() {
             Options { weight: 0.004, tight_bounds: false, sample_ratio: 1.0, ..Options::new(bounds) };
         let control = RunControl::default();
         let mut progress = Progress::new(&control);
-        let result = simplify::<4, 1>(
+        let result = simplify::<6, 3>(
             points.clone(),
             triangles.clone(),
             vec![],

@@ -181,11 +181,11 @@ fn locked_vertices_keep_their_triangles() {
 fn colours_stay_near_linear_within_a_patch() {
     let (points, triangles) = sheet(40, 10);
     // Colours rise linearly up to the middle and fall from there.
-    let coloured: Vec<[f64; 4]> =
-        points.iter().map(|p| [p[0], p[1], p[2], 100.0 - 5.0 * (p[0] - 20.0).abs()]).collect();
-    let mesh = Mesh::<4>::new(coloured, &triangles).expect("a manifold");
-    let free = planar::<4, 1>(&mesh, &options(0.01));
-    let held = planar::<4, 1>(&mesh, &Options { max_color: 5.0, ..options(0.01) });
+    let coloured: Vec<[f64; 6]> =
+        points.iter().map(|p| [p[0], p[1], p[2], 100.0 - 5.0 * (p[0] - 20.0).abs(), 0.0, 0.0]).collect();
+    let mesh = Mesh::<6>::new(coloured, &triangles).expect("a manifold");
+    let free = planar::<6, 3>(&mesh, &options(0.01));
+    let held = planar::<6, 3>(&mesh, &Options { max_color: 5.0, ..options(0.01) });
     assert_eq!((free.triangles.len(), free.patches.patches.len()), (2, 1));
     assert!(held.patches.patches.len() > 1 && held.triangles.len() < 80, "{}", held.triangles.len());
     assert!(held.bounds.iter().all(|b| b[1] <= 5.0 + 1e-9));
