@@ -10,8 +10,9 @@ import difflib
 import json
 import re
 import textwrap
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
+from functools import cache
 from pathlib import Path
 from typing import Any, ClassVar, TypeVar, get_args
 
@@ -408,8 +409,9 @@ def section_toml(
     return "\n".join(["\n".join(lines) + "\n", *nested])
 
 
-def _format_comment(text: str) -> list[str]:
-    return textwrap.wrap(text, 100, initial_indent="# ", subsequent_indent="# ")
+@cache
+def _format_comment(text: str) -> Sequence[str]:
+    return tuple(textwrap.wrap(text, 100, initial_indent="# ", subsequent_indent="# "))
 
 
 def describe_parameter(about: ParameterInfo, default: Any, hint: Any) -> str:

@@ -78,16 +78,28 @@ def describe_own(cls: type) -> dict[str, ParameterInfo]:
 
     Nested parameters are not included; see `describe_all`.
     """
-    return {f.name: f.metadata["param"] for f in fields(cls) if "param" in f.metadata}
+    return dict(_describe_own_cached(cls))
+
+
+@cache
+def _describe_own_cached(cls: Any) -> Mapping[str, ParameterInfo]:
+    return MappingProxyType({f.name: f.metadata["param"] for f in fields(cls) if "param" in f.metadata})
 
 
 def find_nested(cls: type) -> dict[str, type]:
     """Return the nested parameter classes by field name."""
-    return {
-        f.name: type(f.default)
-        for f in fields(cls)
-        if is_dataclass(f.default) and describe_own(type(f.default))
-    }
+    return dict(_find_nested_cached(cls))
+
+
+@cache
+def _find_nested_cached(cls: Any) -> Mapping[str, type]:
+    return MappingProxyType(
+        {
+            f.name: type(f.default)
+            for f in fields(cls)
+            if is_dataclass(f.default) and describe_own(type(f.default))
+        }
+    )
 
 
 def describe_all(cls: type) -> dict[str, ParameterInfo]:
