@@ -31,6 +31,8 @@ from shape_measures import (
     transform_mesh,
 )
 
+pytestmark = pytest.mark.thorough
+
 
 def make_sheet(heights: np.ndarray, side: float = 1.0) -> Mesh:
     """Make a square sheet that faces up, from the heights of its rows of vertices."""
