@@ -35,6 +35,7 @@ from scanloom.stages.adjusting.surface_points import SurfacePoints
 from scanloom.stages.adjusting.tracks import Tracks, build_tracks
 from scanloom.stages.adjusting.unprojection import transform_to_world, unproject_pixels
 from scanloom.stages.adjusting.view import AdjustmentView, correct_views
+from scanloom.stages.scans.model.prefetch import get_worker_count, map_ordered
 
 # One of this many tracks is held out.
 _HOLD_OUT_STRIDE = 5
@@ -44,6 +45,8 @@ _FOCAL_FACTORS = (1.0, 0.9)
 # Approximate number of tracks in the fits that select a model; rounds of depth lookup, and solver steps in
 # each round.
 _MODEL_TRACK_COUNT, _LOOKUP_ROUNDS, _STEPS_PER_ROUND = 1500, 4, 3
+# Rounds of the fit to all tracks. Few suffice, because the model fits have converged already.
+_FINAL_ROUNDS = 2
 # Rounds of the fit of the depth correction. Few suffice, because cameras are fitted already.
 _DEPTH_ROUNDS = 3
 # Maximum error ratio for accepting a fitted colour camera, at this percentile of the transfer error. The
@@ -136,18 +139,28 @@ def run_bundle_adjustment(
 
     training_tracks = all_tracks.select(~is_held_out)
     model_tracks = _subsample_tracks(training_tracks)
-    best = given if camera else fitted(given, model_tracks, FreeParameters())
-    has_camera = has_turns = False
+    # The fits do not depend on each other.
+    zooms = () if camera is False else _FOCAL_FACTORS
+    starts = [(given.scale_focal_lengths(zoom), FreeParameters(camera=True)) for zoom in zooms]
+    if not camera:
+        starts.insert(0, (given, FreeParameters()))
+    fits = map_ordered(
+        lambda start: fitted(start[0], model_tracks, start[1]),
+        starts,
+        threads=get_worker_count(),
+        max_pending=len(starts),
+    )
+    best, has_camera, has_turns = given, False, False
+    if not camera:
+        best = next(fits)
     on_step()
-    if camera or camera is None:
-        for number, zoom in enumerate(_FOCAL_FACTORS):
-            other = fitted(given.scale_focal_lengths(zoom), model_tracks, FreeParameters(camera=True))
-            needed = 1.0 if has_camera else _MAX_CAMERA_RATIO
-            if (camera and number == 0) or _compute_error_ratio(
-                compute_errors(best), compute_errors(other)
-            ) < needed:
-                best, has_camera = other, True
-            on_step()
+    for number, other in enumerate(fits):
+        needed = 1.0 if has_camera else _MAX_CAMERA_RATIO
+        if (camera and number == 0) or _compute_error_ratio(
+            compute_errors(best), compute_errors(other)
+        ) < needed:
+            best, has_camera = other, True
+        on_step()
     may_turn = (
         shutter is None
         and _compute_error_ratio(
@@ -176,7 +189,7 @@ def run_bundle_adjustment(
         measured, best, agreement = _fit_depth(
             measured, best, subset, free, silhouette_prior, is_forced=depth is True
         )
-    best = fit_cameras(measured, best, training_tracks, free, silhouette_prior)
+    best = fit_cameras(measured, best, training_tracks, free, silhouette_prior, _FINAL_ROUNDS)
     on_step()
     before = compute_errors(given)
     after = compute_match_errors(measured.views, best, held_out_matches)
@@ -243,6 +256,7 @@ def fit_cameras(
     training_tracks: Tracks,
     free: FreeParameters,
     silhouette_prior: SilhouettePrior | None = None,
+    rounds: int = _LOOKUP_ROUNDS,
 ) -> Cameras:
     """Fit cameras by alternating depth lookup and solver steps.
 
@@ -252,7 +266,7 @@ def fit_cameras(
     if prepared is None:
         return start
     problem, state = prepared
-    for _ in range(_LOOKUP_ROUNDS):
+    for _ in range(rounds):
         problem = problem.update_planes(fit_input.views, state)
         state = solve(problem, state, _STEPS_PER_ROUND)
     return state.cameras
