@@ -17,8 +17,6 @@ IGNORED_FOLDERS = {"node_modules", "target", "__pycache__"}
 UNCHECKED_TESTS = (
     "campaign",
     "cli",
-    "pipeline/batch",
-    "stages/files",
     "stages/lod",
     "stages/normal_meshes",
     "stages/simplification",
