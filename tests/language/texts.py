@@ -17,7 +17,6 @@ IGNORED_FOLDERS = {"node_modules", "target", "__pycache__"}
 UNCHECKED_TESTS = (
     "cli",
     "stages/simplification",
-    "stages/surface/formats",
 )
 # Directives for tools, which are no prose.
 DIRECTIVE = re.compile(r"#(!| ?type:| ?noqa| ?ruff:| ?mypy:)")
