@@ -16,7 +16,6 @@ IGNORED_FOLDERS = {"node_modules", "target", "__pycache__"}
 # Tests whose texts are not yet checked.
 UNCHECKED_TESTS = (
     "cli",
-    "stages/simplification",
 )
 # Directives for tools, which are no prose.
 DIRECTIVE = re.compile(r"#(!| ?type:| ?noqa| ?ruff:| ?mypy:)")
