@@ -101,10 +101,10 @@ def test_a_killed_worker_and_a_hanging_job_lose_no_scan(hung: Path, scheduler: s
     batch = start_module("scanloom.cli.app", "batch", scans, "-o", out, *words)
     killed = find_busy_worker(hung.parent, time.monotonic() + 240)
     os.kill(killed, signal.SIGKILL)
-    said, _ = batch.communicate(timeout=240)
-    assert batch.returncode == 1, said
-    assert "2 of 5 scans are not done: 1 failed, 1 unusable" in said
-    assert "scan-0004: ended after 20 s without progress in adjust" in said
+    message, _ = batch.communicate(timeout=240)
+    assert batch.returncode == 1, message
+    assert "2 of 5 scans are not done: 1 failed, 1 unusable" in message
+    assert "scan-0004: ended after 20 s without progress in adjust" in message
     assert hung.exists()
     assert not is_any_alive(hung)
 
@@ -138,9 +138,9 @@ def test_a_lost_scheduler_is_reported(tmp_path: Path):
     time.sleep(1)
     scheduler.kill()
     scheduler.communicate()
-    said, _ = batch.communicate(timeout=240)
-    assert batch.returncode == 1, said
-    assert said.splitlines()[-1].startswith(
+    message, _ = batch.communicate(timeout=240)
+    assert batch.returncode == 1, message
+    assert message.splitlines()[-1].startswith(
         f"scanloom: the connection to the scheduler at tcp://127.0.0.1:{port} is lost; "
     )
 
@@ -151,7 +151,7 @@ def _is_port_open(port: int) -> bool:
 
 
 SBATCH = """#!{python}
-# As SLURM: takes a script, says the number of its job, and runs it elsewhere.
+# Like SLURM: takes a script, prints the number of its job, and runs the job elsewhere.
 import subprocess, sys
 with open({log!r}, "ab", buffering=0) as log:
     job = subprocess.Popen(
@@ -200,11 +200,11 @@ def test_slurm_starts_workers_and_replaces_expired_ones(slurm: dict[str, str], t
     (worker,) = list_started_workers(tmp_path / "log")
     os.killpg(worker, signal.SIGKILL)
     try:
-        said, _ = batch.communicate(timeout=240)
+        message, _ = batch.communicate(timeout=240)
     except subprocess.TimeoutExpired:
         batch.send_signal(signal.SIGABRT)
         pytest.fail(f"{batch.communicate()[0]}\n{(tmp_path / 'log').read_text()}")
-    assert batch.returncode == 0, said
+    assert batch.returncode == 0, message
     assert all((out / f"scan-000{number}" / "clean.ply").is_file() for number in range(3))
     assert len(list_started_workers(tmp_path / "log")) == 2
 
@@ -216,9 +216,9 @@ def test_a_refusal_by_slurm_is_one_error(slurm: dict[str, str], tmp_path: Path):
     batch = start_module(
         "scanloom.cli.app", "batch", tmp_path / "scans", "-o", tmp_path / "out", *words, **slurm
     )
-    said, _ = batch.communicate(timeout=240)
-    assert batch.returncode == 3, said
-    assert re.fullmatch(r"scanloom: slurm cannot start workers: .* no such partition; .*\n", said)
+    message, _ = batch.communicate(timeout=240)
+    assert batch.returncode == 3, message
+    assert re.fullmatch(r"scanloom: slurm cannot start workers: .* no such partition; .*\n", message)
 
 
 NO_WORKER = """
@@ -227,14 +227,14 @@ from pathlib import Path
 import scanloom.pipeline.batch.dask_executor
 from scanloom.pipeline.batch.job_queue import BatchSettings, Job, create_queue
 
-def tell(told):
-    print(told.text, flush=True)
-    if "no worker" in told.text:
+def show(event):
+    print(event.text, flush=True)
+    if "no worker" in event.text:
         raise InterruptedError
 
 scanloom.pipeline.batch.dask_executor._WORKER_CHECK_INTERVAL = 0.2
 queue = create_queue(Path(sys.argv[1]), 1, BatchSettings(""), [Job(0, "x", "x")])
-scanloom.pipeline.batch.dask_executor.run_with_dask(queue, "slurm", workers=1, on_event=tell)
+scanloom.pipeline.batch.dask_executor.run_with_dask(queue, "slurm", workers=1, on_event=show)
 """
 
 
@@ -242,9 +242,9 @@ def test_scans_that_wait_for_a_worker_are_reported(slurm: dict[str, str], tmp_pa
     (tmp_path / "bin" / "sbatch").write_text("#!/bin/sh\necho Submitted batch job 7\n")
     words = [sys.executable, "-c", NO_WORKER, str(tmp_path)]
     child = subprocess.run(words, capture_output=True, text=True, timeout=120, env=os.environ | slurm)
-    told = child.stdout.splitlines()
-    assert len(told) == 2, child.stderr
-    assert re.match(r"the scheduler at tcp://\S+ has no workers; 1 scans are waiting\. ", told[1])
+    messages = child.stdout.splitlines()
+    assert len(messages) == 2, child.stderr
+    assert re.match(r"the scheduler at tcp://\S+ has no workers; 1 scans are waiting\. ", messages[1])
 
 
 CTRL_C = """
@@ -256,7 +256,7 @@ from scanloom.stages.diagnostics.errors import InputError
 
 queue = create_queue(Path(sys.argv[1]), 1, BatchSettings(""), [Job(0, "x", "x")])
 try:
-    # Nothing says how many processors a worker has.
+    # The processor count of a worker is not configured.
     run_with_dask(queue, "slurm", workers=1)
 except InputError:
     assert "dask_jobqueue" in sys.modules

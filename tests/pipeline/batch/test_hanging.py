@@ -141,14 +141,14 @@ def test_a_stopped_job_process_is_killed(small_scans: Path, queue_of: Begin):
     queue = queue_of(small_scans)
     stopped = False
 
-    def tell(told: WorkerEvent) -> None:
+    def tell(event: WorkerEvent) -> None:
         nonlocal stopped
-        if isinstance(told, JobProgress) and told.name == "scan-1":
+        if isinstance(event, JobProgress) and event.name == "scan-1":
             (slot,) = worker._slots
             assert slot.process is not None
             os.kill(slot.process._process.pid, signal.SIGSTOP)
             stopped = True
-        stopped = stopped and not isinstance(told, JobEnded)
+        stopped = stopped and not isinstance(event, JobEnded)
 
     worker = Worker(queue, slots=1, threads=1, timeout=LONG, on_event=tell, clock=Clock(lambda: stopped))
     worker.run()
@@ -183,14 +183,14 @@ def test_a_resumed_worker_leaves_its_job_to_the_worker_that_took_it_over(
         for number in (first.pid, *map(int, jobs)):
             os.kill(number, signal.SIGSTOP)
 
-        def tell(told: WorkerEvent) -> None:
-            if isinstance(told, Notice) and "waiting for another run into" in told.text:
+        def tell(event: WorkerEvent) -> None:
+            if isinstance(event, Notice) and "waiting for another run into" in event.text:
                 os.kill(first.pid, signal.SIGCONT)
 
         Worker(queue, slots=1, threads=1, on_event=tell).run()
         os.kill(first.pid, signal.SIGCONT)
-        said = first.communicate(timeout=60)[1]
-    assert "scan-0: another worker has taken it over while this worker was unresponsive" in said
+        message = first.communicate(timeout=60)[1]
+    assert "scan-0: another worker has taken it over while this worker was unresponsive" in message
     ends = [one for one in JobRecords(queue.folder / "done").list_finished() if one.number == 1]
     assert [one.attempt for one in ends] == [1]
     states = {one.name: one.state for one in summarize_batch(queue).records}
@@ -204,8 +204,8 @@ def test_a_resumed_worker_leaves_its_job_to_the_worker_that_took_it_over(
 def test_a_worker_whose_queue_is_replaced_reports_it(small_scans: Path, queue_of: Begin):
     queue = queue_of(small_scans)
 
-    def tell(told: WorkerEvent) -> None:
-        if isinstance(told, JobProgress):
+    def tell(event: WorkerEvent) -> None:
+        if isinstance(event, JobProgress):
             # Like the next batch, which was started while this worker gave no heartbeat.
             shutil.rmtree(queue.folder)
 

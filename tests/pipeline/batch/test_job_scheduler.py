@@ -1,4 +1,4 @@
-"""Order of jobs: unclaimed ones, then those of dead workers; and jobs that are given up."""
+"""Order of jobs: unclaimed jobs, then jobs of dead workers; and jobs that fail for good."""
 
 from __future__ import annotations
 

@@ -38,7 +38,7 @@ def rewrite_queue(queue: BatchQueue, settings: dict[str, Any], *jobs: dict[str, 
 
 
 @pytest.mark.parametrize(
-    ("changed", "said"),
+    ("changed", "message"),
     [
         ({"name": "../../home"}, "outside the output folder"),
         ({"name": "/etc/cron.d"}, "outside the output folder"),
@@ -52,21 +52,23 @@ def rewrite_queue(queue: BatchQueue, settings: dict[str, Any], *jobs: dict[str, 
         ({"scan": "a\0b"}, "not text"),
     ],
 )
-def test_a_changed_job_is_refused_and_reported(queue: BatchQueue, changed: dict[str, Any], said: str) -> None:
+def test_a_changed_job_is_refused_and_reported(
+    queue: BatchQueue, changed: dict[str, Any], message: str
+) -> None:
     rewrite_queue(queue, {}, *(({}, changed) if changed.get("name") == "FLOOR/0" else (changed, {})))
     read = read_current_queue(queue.out)
     assert read is not None
     (number,) = read.damaged
-    assert said in read.refusals[number]
+    assert message in read.refusals[number]
     Worker(read, slots=1, threads=1, only=frozenset({number})).run()
     (record,) = [one for one in summarize_batch(read).records if one.number == number]
     assert record.state == FAILED
-    assert said in record.reason
+    assert message in record.reason
     assert [one.code for one in record.diagnostics] == ["batch.queue-refused"]
 
 
 @pytest.mark.parametrize(
-    ("changed", "said"),
+    ("changed", "message"),
     [
         ({"cache": "../elsewhere"}, r"elsewhere is outside the output folder and has no file CACHEDIR\.TAG"),
         ({"cache": "/tmp"}, "not a path relative"),
@@ -83,9 +85,9 @@ def test_a_changed_job_is_refused_and_reported(queue: BatchQueue, changed: dict[
         ({"jobs": True}, "the queue is damaged"),
     ],
 )
-def test_changed_settings_are_refused(queue: BatchQueue, changed: dict[str, Any], said: str) -> None:
+def test_changed_settings_are_refused(queue: BatchQueue, changed: dict[str, Any], message: str) -> None:
     rewrite_queue(queue, changed, {}, {})
-    with pytest.raises(InputError, match=said):
+    with pytest.raises(InputError, match=message):
         read_current_queue(queue.out)
 
 

@@ -45,11 +45,11 @@ def test_folders_without_scans_are_reported_once(scans: Path):
     (scans / "zed").mkdir()
     (scans / "zed" / "take.svo").write_bytes(b"svo")
     (scans / ".hidden").mkdir()
-    told = {one.path.relative_to(scans).as_posix(): one.reason for one in find_scans(scans)[1]}
-    assert told.keys() == {"notes", "floor-1/empty", "zed"}
-    assert told["notes"] == "its layout is unknown"
-    assert told["floor-1/empty"] == "it is empty"
-    assert told["zed"].startswith("this looks like a ZED recording (.svo)")
+    reasons = {one.path.relative_to(scans).as_posix(): one.reason for one in find_scans(scans)[1]}
+    assert reasons.keys() == {"notes", "floor-1/empty", "zed"}
+    assert reasons["notes"] == "its layout is unknown"
+    assert reasons["floor-1/empty"] == "it is empty"
+    assert reasons["zed"].startswith("this looks like a ZED recording (.svo)")
 
 
 def test_each_recording_of_a_folder_is_a_scan(scans: Path):
@@ -100,8 +100,10 @@ def test_a_given_layout_makes_every_folder_a_scan(scans: Path):
     assert list_names(scans, layout="tum") == ["bare", "floor-1", "floor-2", "kitchen"]
 
 
-@pytest.mark.parametrize(("name", "said"), [("none", "there is no such folder"), ("file", "this is a file")])
-def test_a_missing_folder_is_refused(tmp_path: Path, name: str, said: str):
+@pytest.mark.parametrize(
+    ("name", "message"), [("none", "there is no such folder"), ("file", "this is a file")]
+)
+def test_a_missing_folder_is_refused(tmp_path: Path, name: str, message: str):
     (tmp_path / "file").write_text("")
-    with pytest.raises(InputError, match=said):
+    with pytest.raises(InputError, match=message):
         find_scans(tmp_path / name)

@@ -55,14 +55,14 @@ def get_job_pid(worker: Worker) -> int:
 
 
 def test_a_bad_scan_does_not_affect_other_scans(small_scans: Path, queue_of: Begin, tmp_path: Path):
-    told: list[WorkerEvent] = []
-    ended = run_worker(queue_of(small_scans, until="clean"), slots=2, on_event=told.append)
+    events: list[WorkerEvent] = []
+    ended = run_worker(queue_of(small_scans, until="clean"), slots=2, on_event=events.append)
     states = {name: one.state for name, one in ended.items()}
     assert states == {"broken": UNUSABLE, **{f"scan-{k}": DONE for k in range(4)}}
     assert "scan.json: the file is not valid JSON" in ended["broken"].reason
     assert ended["scan-1"].metrics["frames"] == 4
-    assert sum(isinstance(one, JobEnded) for one in told) == 5
-    assert [one for one in told if isinstance(one, QueueProgress)][-1] == QueueProgress(5, 5)
+    assert sum(isinstance(one, JobEnded) for one in events) == 5
+    assert [one for one in events if isinstance(one, QueueProgress)][-1] == QueueProgress(5, 5)
 
     # The results have the bytes and names of `run`.
     run(small_scans / "scan-2", tmp_path / "alone", Config(), until="clean")
@@ -103,10 +103,10 @@ def test_a_job_whose_process_dies_is_repeated(
     queue = queue_of(small_scans)
     begun: list[JobStarted] = []
 
-    def tell(told: WorkerEvent) -> None:
-        if isinstance(told, JobStarted):
-            begun.append(told)
-        if isinstance(told, JobProgress) and len(begun) == 2:
+    def tell(event: WorkerEvent) -> None:
+        if isinstance(event, JobStarted):
+            begun.append(event)
+        if isinstance(event, JobProgress) and len(begun) == 2:
             os.kill(get_job_pid(worker), sent)
 
     worker = Worker(queue, slots=1, threads=1, on_event=tell)
@@ -122,10 +122,10 @@ def test_a_job_that_crashes_repeatedly_is_given_up(small_scans: Path, queue_of: 
     queue = queue_of(small_scans)
     at = ""
 
-    def tell(told: WorkerEvent) -> None:
+    def tell(event: WorkerEvent) -> None:
         nonlocal at
-        at = told.name if isinstance(told, JobStarted) else at
-        if isinstance(told, JobProgress) and at == "scan-2":
+        at = event.name if isinstance(event, JobStarted) else at
+        if isinstance(event, JobProgress) and at == "scan-2":
             os.kill(get_job_pid(worker), signal.SIGSEGV)
 
     worker = Worker(queue, slots=1, threads=1, on_event=tell)
@@ -139,8 +139,8 @@ def test_a_job_that_crashes_repeatedly_is_given_up(small_scans: Path, queue_of: 
 def test_an_interrupted_worker_releases_its_job(small_scans: Path, queue_of: Begin, tmp_path: Path):
     queue = queue_of(small_scans, until="clean")
 
-    def interrupt(told: WorkerEvent) -> None:
-        if isinstance(told, JobProgress) and told.stage == "fuse":
+    def interrupt(event: WorkerEvent) -> None:
+        if isinstance(event, JobProgress) and event.stage == "fuse":
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):

@@ -71,12 +71,12 @@ def test_other_files_and_folders_are_refused_before_writing(tmp_path: Path) -> N
     (tmp_path / "file").touch()
     (tmp_path / "full").mkdir()
     (tmp_path / "full" / "mine").touch()
-    for name, said in (
+    for name, message in (
         ("file", "this is a file; a set is a folder"),
         ("full", "is not a set; give a new folder"),
     ):
         with (
-            pytest.raises(InputError, match=said),
+            pytest.raises(InputError, match=message),
             write_folder_atomically(tmp_path / name, is_ours, "a set"),
         ):
             pytest.fail("begun")

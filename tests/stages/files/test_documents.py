@@ -37,8 +37,8 @@ DEEP = {
 def test_deep_nesting_is_one_error(tmp_path: Path, name: str) -> None:
     """Such YAML took minutes to parse; such JSON exceeded the recursion limit of its readers."""
     (tmp_path / name).write_text(DEEP[name])
-    said = "is not valid JSON" if name.endswith(".json") else "does not parse: it is nested"
-    with pytest.raises(InputError, match=rf"{name}: the file {said}"):
+    message = "is not valid JSON" if name.endswith(".json") else "does not parse: it is nested"
+    with pytest.raises(InputError, match=rf"{name}: the file {message}"):
         read_document(tmp_path / name)
     if name.endswith(".json"):
         with pytest.raises(InputError, match=rf"{name}: the file is not valid JSON"):
@@ -67,12 +67,12 @@ LONG = {
 
 @pytest.mark.parametrize("name", LONG)
 def test_numbers_with_thousands_of_digits_are_one_error(tmp_path: Path, name: str) -> None:
-    text, said = LONG[name]
+    text, message = LONG[name]
     (tmp_path / name).write_text(text)
-    with pytest.raises(InputError, match=rf"{name}: the file does not parse: {said}\.$"):
+    with pytest.raises(InputError, match=rf"{name}: the file does not parse: {message}\.$"):
         read_document(tmp_path / name)
     if name.endswith(".toml"):
-        with pytest.raises(UsageError, match=rf"{name}: this is not TOML \({said}\)\.$"):
+        with pytest.raises(UsageError, match=rf"{name}: this is not TOML \({message}\)\.$"):
             Config.load(tmp_path / name)
 
 

@@ -56,7 +56,7 @@ def test_planes_are_kept_for_any_photo(factor, slope, seed):
     found = upsample_depth(compute_plane_depth(SMALL, 1.0, *slope), color, factor)
     inside = slice(factor, -factor), slice(factor, -factor)
     truth = compute_plane_depth(large, 1.0, *slope)
-    # Where neighbours may be on two surfaces because the plane is so oblique, the slope is underestimated.
+    # Neighbours on an oblique plane may count as two surfaces; there the slope is underestimated.
     np.testing.assert_allclose(found[inside], truth[inside], rtol=1e-3)
     assert np.mean(np.abs(found[inside] / truth[inside] - 1) < 1e-5) > 0.9
 
