@@ -106,7 +106,7 @@ class _ShotFusion:
     def _find_touched(self, shot: Shot, view: Any, draw: random.Random) -> BlockKeys:
         depth, normal, obliqueness = view
 
-        def found(within: BlockBox | None) -> BlockKeys:
+        def find_blocks(within: BlockBox | None) -> BlockKeys:
             return _kernels.find_touched_blocks(
                 (shot.pinhole, shot.pose),
                 depth,
@@ -119,7 +119,7 @@ class _ShotFusion:
             )
 
         try:
-            keys = found(None)
+            keys = find_blocks(None)
         except _kernels.LimitError as error:
             raise StageError(MACHINE_BUG, "a frame contains points too far away") from error
         assert (np.diff(keys.astype(np.float64)) >= 0).all(), "blocks are not sorted"
@@ -127,7 +127,7 @@ class _ShotFusion:
         if len(keys):
             low = decode_z_order(keys).min(axis=0) + draw.randrange(-1, 3)
             box = _make_box(low, low + draw.randrange(0, 6))
-            _assert_same((keys[_is_within(keys, box)],), (found(box),), "a box")
+            _assert_same((keys[_is_within(keys, box)],), (find_blocks(box),), "a box")
         return keys
 
 

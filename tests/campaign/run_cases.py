@@ -77,7 +77,7 @@ def run_case(seed: int, ready: UndisturbedRun, folder: Path) -> Verdict:
 def _run_killed(draw: random.Random, ready: UndisturbedRun, folder: Path) -> Verdict:
     words = draw.choice(((), _IN_BRICKS))
 
-    def case() -> str:
+    def run() -> str:
         for _ in range(draw.choice((1, 1, 2, 3))):
             with _start(ready.scan, folder / "out", words=words) as process:
                 time.sleep(ready.seconds * draw.uniform(0.2, 1.0))
@@ -85,7 +85,7 @@ def _run_killed(draw: random.Random, ready: UndisturbedRun, folder: Path) -> Ver
         _assert_no_partial_files(ready, folder / "out")
         return _assert_recovers(ready, folder / "out", words)
 
-    return judge(case)
+    return judge(run)
 
 
 def _run_short_of_disk(draw: random.Random, ready: UndisturbedRun, folder: Path) -> Verdict:
@@ -93,7 +93,7 @@ def _run_short_of_disk(draw: random.Random, ready: UndisturbedRun, folder: Path)
     most = draw.choice((0, 100, 3000, 10_000, 30_000, 100_000))
     words = draw.choice(((), _IN_BRICKS))
 
-    def case() -> str:
+    def run() -> str:
         code, message = _finish(_start(ready.scan, folder / "out", lambda: _limit_files(most), words))
         assert code in (0, 1, 3), f"exit code {code}: {message}"
         assert "Traceback" not in message, message
@@ -102,7 +102,7 @@ def _run_short_of_disk(draw: random.Random, ready: UndisturbedRun, folder: Path)
         _assert_no_partial_files(ready, folder / "out")
         return f"{most} bytes, exit code {code}, {_assert_recovers(ready, folder / 'out', words)}"
 
-    return judge(case)
+    return judge(run)
 
 
 def _run_on_full_disk(draw: random.Random, ready: UndisturbedRun, folder: Path) -> Verdict:
@@ -116,7 +116,7 @@ def _run_on_full_disk(draw: random.Random, ready: UndisturbedRun, folder: Path) 
         return Verdict(SKIPPED, "no disk can be mounted here")
     try:
 
-        def case() -> str:
+        def run() -> str:
             code, message = _finish(_start(ready.scan, disk / "out"))
             assert code in (0, 1, 3), f"exit code {code}: {message}"
             assert "Traceback" not in message, message
@@ -125,13 +125,13 @@ def _run_on_full_disk(draw: random.Random, ready: UndisturbedRun, folder: Path) 
             shutil.move(disk / "out", folder / "out") if (disk / "out").exists() else None
             return f"{size} kB, exit code {code}, {_assert_recovers(ready, folder / 'out')}"
 
-        return judge(case)
+        return judge(run)
     finally:
         subprocess.run(["umount", str(disk)], check=False)
 
 
 def _run_two_at_once(draw: random.Random, ready: UndisturbedRun, folder: Path) -> Verdict:
-    def case() -> str:
+    def run() -> str:
         first = _start(ready.scan, folder / "out")
         time.sleep(ready.seconds * draw.uniform(0, 0.9))
         second = _start(ready.scan, folder / "out")
@@ -145,7 +145,7 @@ def _run_two_at_once(draw: random.Random, ready: UndisturbedRun, folder: Path) -
             assert "bug in scanloom" not in message, message
         return f"exit codes {[code for code, _ in ends]}, {_assert_recovers(ready, folder / 'out')}"
 
-    return judge(case)
+    return judge(run)
 
 
 def _run_read_only(draw: random.Random, ready: UndisturbedRun, folder: Path) -> Verdict:
@@ -153,7 +153,7 @@ def _run_read_only(draw: random.Random, ready: UndisturbedRun, folder: Path) -> 
     if os.geteuid() == 0:
         return Verdict(SKIPPED, "the superuser may write to folders that are read-only")
 
-    def case() -> str:
+    def run() -> str:
         out = folder / "out"
         code, message = _finish(_start(ready.scan, out))
         assert code == 0, message
@@ -168,7 +168,7 @@ def _run_read_only(draw: random.Random, ready: UndisturbedRun, folder: Path) -> 
         assert "bug in scanloom" not in message, message
         return f"{locked.name}, exit code {code}, {_assert_recovers(ready, out)}"
 
-    return judge(case)
+    return judge(run)
 
 
 _CASES: dict[str, Callable[[random.Random, UndisturbedRun, Path], Verdict]] = {

@@ -171,13 +171,13 @@ def test_a_second_batch_in_the_same_folder_is_refused(
     assert queue is not None
     alive = queue.folder / "workers" / "other.alive"
 
-    def beat() -> None:
+    def write_heartbeats() -> None:
         count = 0
         while not stop.wait(0.02):
             count += 1
             alive.write_text(f"{count:012d} beats, one each 00002.000 s\n")
 
-    other = threading.Thread(target=beat)
+    other = threading.Thread(target=write_heartbeats)
     other.start()
     time.sleep(0.1)
     refused = scanloom(*words, "clean")

@@ -204,12 +204,6 @@ def test_a_tile_with_one_child_has_far_fewer_triangles(
 
 
 def test_the_finest_tiles_equal_the_mesh(hierarchies: dict[str, Hierarchy], folders: dict[str, Path]) -> None:
-    def sorted_corners(mesh: Mesh) -> NDArray[np.float64]:
-        corners = mesh.vertices[mesh.triangles]
-        assert mesh.colors is not None
-        keys = np.dstack([corners, mesh.colors[mesh.triangles].astype(np.float64)]).reshape(len(corners), -1)
-        return keys[np.lexsort(np.rint(keys * 1e3).T)]
-
     for name, mesh in {"closed": make_closed_mesh(), "open": make_open_mesh()}.items():
         grid = snap_to_grid(hierarchies[name])[1]
         tiles = list(read_tiles(folders[name]).leaves())

@@ -84,7 +84,7 @@ def make_small_mesh() -> NormalMesh:
 
 
 @st.composite
-def random_meshes(draw: st.DrawFn) -> Mesh:
+def draw_meshes(draw: st.DrawFn) -> Mesh:
     """Draw sheets, tubes, rings and pairs of sheets with random bumps, colours and holes."""
     kind = draw(st.sampled_from(["sheet", "tube", "ring", "several"]))
     n, m = draw(st.integers(3, 14)), draw(st.integers(3, 14))
@@ -117,7 +117,7 @@ def random_meshes(draw: st.DrawFn) -> Mesh:
 
 
 @given(
-    mesh=random_meshes(),
+    mesh=draw_meshes(),
     levels=st.integers(0, 3),
     base=st.sampled_from([None, 1, 30]),
     scheme=st.sampled_from(["linear", "butterfly"]),

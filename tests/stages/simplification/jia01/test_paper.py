@@ -325,7 +325,7 @@ def make_ball() -> tuple[np.ndarray, np.ndarray]:
     points = [*corners]
     middles: dict[frozenset[int], int] = {}
 
-    def middle(a: int, b: int) -> int:
+    def get_middle(a: int, b: int) -> int:
         if frozenset((a, b)) not in middles:
             middles[frozenset((a, b))] = len(points)
             points.append((points[a] + points[b]) / 2)
@@ -334,7 +334,7 @@ def make_ball() -> tuple[np.ndarray, np.ndarray]:
     for _ in range(2):
         coarse, faces = faces, []
         for a, b, c in coarse:
-            ab, bc, ca = middle(a, b), middle(b, c), middle(c, a)
+            ab, bc, ca = get_middle(a, b), get_middle(b, c), get_middle(c, a)
             faces += [[a, ab, ca], [ab, b, bc], [ca, bc, c], [ab, bc, ca]]
     vertices = np.array(points)
     return vertices / np.linalg.norm(vertices, axis=1)[:, None], np.array(faces, np.int32)

@@ -151,7 +151,7 @@ def record_search(
     """Search for a bound of 0.1 on separate triangles; return the tried bounds and the result."""
     bounds: list[float] = []
 
-    def simplified(bound: float, progress: Progress) -> FakeResult:
+    def simplify_once(bound: float, progress: Progress) -> FakeResult:
         for done in range(0, 101, 10):
             progress(done, 100)
         bounds.append(bound)
@@ -159,7 +159,7 @@ def record_search(
         return FakeResult(made, np.array([[bound, 0.0]]), len(bounds) == partial_at)
 
     fewest = search_fewest_triangles(
-        simplified,
+        simplify_once,
         vertices=np.zeros((3 * of, 3)),
         triangles=np.arange(3 * of, dtype=np.int32).reshape(-1, 3),
         max_shape=0.1,
@@ -171,10 +171,10 @@ def record_search(
 
 
 def test_small_meshes_try_all_bounds_and_large_ones_stop_when_counts_rise() -> None:
-    def worse(bound: float) -> int:
+    def count_rising(bound: float) -> int:
         return int(100 - 100 * np.log2(bound))
 
-    small, large = record_search(worse, of=8000)[0], record_search(worse, of=9000)[0]
+    small, large = record_search(count_rising, of=8000)[0], record_search(count_rising, of=9000)[0]
     assert small == sorted(small, reverse=True)
     assert (small[0], small[-1]) == (0.1, 2**-20)
     assert large == [0.1, 2**-4, 2**-5, 2**-6, 2**-7]
@@ -205,12 +205,12 @@ def test_progress_increases_up_to_its_end() -> None:
 def test_a_stop_request_is_passed_to_the_kernel() -> None:
     answers: list[object] = []
 
-    def simplified(_: float, progress: Progress) -> FakeResult:
+    def simplify_once(_: float, progress: Progress) -> FakeResult:
         answers.append(progress(1, 2))
         return FakeResult(np.zeros((1, 3), np.int32), np.zeros((1, 2)), True)
 
     search_fewest_triangles(
-        simplified,
+        simplify_once,
         vertices=np.zeros((3, 3)),
         triangles=np.array([[0, 1, 2]], np.int32),
         max_shape=1.0,

@@ -81,13 +81,13 @@ def test_a_count_too_small_for_the_holes_is_reported() -> None:
     loops = topology(torn).boundary_loops
     assert loops > 90
 
-    def crowded(found: SimplificationResult[Any]) -> list[str]:
+    def list_warnings(found: SimplificationResult[Any]) -> list[str]:
         return [str(one) for one in found.diagnostics if one.code == SIMPLIFY_EDGES_BLOCKED.name]
 
-    (warning,) = crowded(simplify(torn, triangles=4 * loops))
+    (warning,) = list_warnings(simplify(torn, triangles=4 * loops))
     assert "holes" in warning
-    assert crowded(simplify(torn, ratio=0.5)) == []
-    assert crowded(simplify(torn, max_shape=1.0)) == []
+    assert list_warnings(simplify(torn, ratio=0.5)) == []
+    assert list_warnings(simplify(torn, max_shape=1.0)) == []
     assert simplify(mesh, triangles=4 * loops).diagnostics == ()
 
 

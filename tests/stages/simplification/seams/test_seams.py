@@ -492,13 +492,13 @@ def test_a_part_border_penalty_keeps_vertices_on_the_border() -> None:
     parts = (mesh.vertices[mesh.triangles].mean(axis=1)[:, 2] > 0).astype(np.int32)
     halves = mesh.with_(part_ids=parts, part_names=("back", "front"))
 
-    def left_on_border(**changes: Any) -> int:
+    def count_on_border(**changes: Any) -> int:
         result = simplify(halves, method="seams", ratio=0.1, **changes)
         t = result.mesh.triangles
         by_part = [set(t[result.mesh.part_ids == part].reshape(-1).tolist()) for part in (0, 1)]
         return len(by_part[0] & by_part[1])
 
-    assert left_on_border(seams={"part_border_penalty": 1000}) > left_on_border(
+    assert count_on_border(seams={"part_border_penalty": 1000}) > count_on_border(
         seams={"part_border_penalty": 0}
     )
 
@@ -511,20 +511,20 @@ def test_a_material_border_penalty_keeps_vertices_on_the_border() -> None:
     texture = Texture(mesh.texture.uvs, ids, (material, Material("other", material.image)))
     halves = mesh.with_(texture=texture)
 
-    def left_on_border(penalty: float) -> int:
+    def count_on_border(penalty: float) -> int:
         result = simplify(halves, method="seams", ratio=0.1, seams={"material_border_penalty": penalty}).mesh
         assert result.texture is not None
         here, there = (np.unique(result.triangles[result.texture.material_ids == k]) for k in (0, 1))
         return len(np.intersect1d(here, there))
 
-    counts = [left_on_border(penalty) for penalty in (0, 10, 1000)]
+    counts = [count_on_border(penalty) for penalty in (0, 10, 1000)]
     assert counts[0] < counts[1] < counts[2]
 
 
 def test_a_duplicate_penalty_keeps_duplicated_vertices() -> None:
     mesh = wrapped_ball(rings=40, sectors=40, bumps=0.1)
 
-    def left_with_duplicates(penalty: float) -> int:
+    def count_duplicated(penalty: float) -> int:
         light = simplify(mesh, method="seams", ratio=0.1, seams={"duplicate_penalty": penalty}).mesh
         assert light.texture is not None
         corners = light.triangles.reshape(-1)
@@ -532,7 +532,7 @@ def test_a_duplicate_penalty_keeps_duplicated_vertices() -> None:
         _, copies = np.unique(np.unique(rows, axis=0)[:, 0], return_counts=True)
         return int((copies > 1).sum())
 
-    counts = [left_with_duplicates(penalty) for penalty in (0, 10, 1000)]
+    counts = [count_duplicated(penalty) for penalty in (0, 10, 1000)]
     assert counts[0] < counts[1] < counts[2]
 
 

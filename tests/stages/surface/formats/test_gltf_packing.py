@@ -70,19 +70,19 @@ def test_quantized_values_are_within_half_a_step(tmp_path, way, made, suffix):
     assert back.up == pytest.approx((0, -1, 0))
     if mesh.colors is not None:
 
-        def colored(one):
+        def list_colored_points(one):
             found = zip(one.vertices.round(6).tolist(), one.colors.tolist(), strict=True)
             return sorted((*p, *c) for p, c in found)
 
-        np.testing.assert_allclose(colored(back), colored(kept))
+        np.testing.assert_allclose(list_colored_points(back), list_colored_points(kept))
     if mesh.texture is not None:
         assert back.texture.images[0].file_bytes == mesh.texture.images[0].file_bytes
 
-        def placed(one):
+        def sort_corner_rows(one):
             rows = np.concatenate([one.vertices[one.triangles], one.texture.uvs], axis=2).reshape(-1, 5)
             return rows[np.lexsort(rows.round(4).T)]
 
-        np.testing.assert_allclose(placed(back), placed(kept), atol=1e-4)
+        np.testing.assert_allclose(sort_corner_rows(back), sort_corner_rows(kept), atol=1e-4)
     if mesh.normals is not None:
         np.testing.assert_allclose(back.normals, np.tile((0, 0, 1), (len(back.vertices), 1)), atol=0.01)
 
@@ -117,15 +117,17 @@ def test_texture_coordinates_can_be_quantized_to_texel_fractions(tmp_path, way, 
     back = read_mesh(tmp_path / "a.glb")
     assert back.diagnostics == ()
 
-    def placed(one):
+    def sort_corner_rows(one):
         rows = np.concatenate([one.vertices[one.triangles], one.texture.uvs], axis=2).reshape(-1, 5)
         return rows[np.lexsort(rows[:, :2].round(3).T)]
 
-    off = np.abs(placed(back)[:, 3:] - placed(mesh)[:, 3:]).max()
+    off = np.abs(sort_corner_rows(back)[:, 3:] - sort_corner_rows(mesh)[:, 3:]).max()
     assert 0 < off <= 0.5 / (32 * steps) + 1e-9
     # A second round trip loses nothing, and does not scale twice.
     write_gltf(tmp_path / "b.glb", back, compress=way, texel_steps=steps)
-    np.testing.assert_allclose(placed(read_mesh(tmp_path / "b.glb"))[:, 3:], placed(back)[:, 3:], atol=1e-9)
+    np.testing.assert_allclose(
+        sort_corner_rows(read_mesh(tmp_path / "b.glb"))[:, 3:], sort_corner_rows(back)[:, 3:], atol=1e-9
+    )
 
 
 def test_texel_fractions_beyond_16_bits_are_not_used(tmp_path):

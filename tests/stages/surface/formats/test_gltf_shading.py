@@ -174,7 +174,7 @@ def test_three_js_shows_the_colours(tmp_path):
         opened.goto("http://page/")
         opened.wait_for_function("() => Boolean(window.seen)")
 
-        def seen(textured: bool, light: float, **words):
+        def show_in_browser(textured: bool, light: float, **words):
             write_gltf(tmp_path / "a.glb", make_colored_square(color, textured), **words)
             result = opened.evaluate(f"seen({json.dumps(list((tmp_path / 'a.glb').read_bytes()))}, {light})")
             ((kind, of_vertices, of_image),) = result["found"]
@@ -183,13 +183,13 @@ def test_three_js_shows_the_colours(tmp_path):
 
         for textured in (False, True):
             for way, steps in (("none", 0), ("quantize", 0), ("meshopt", 2)):
-                kind, pixel = seen(textured, 0, compress=way, shading="unlit", texel_steps=steps)
+                kind, pixel = show_in_browser(textured, 0, compress=way, shading="unlit", texel_steps=steps)
                 assert kind == "MeshBasicMaterial"
                 np.testing.assert_allclose(pixel, color, atol=4)
-            kind, pixel = seen(textured, np.pi, shading="keep")
+            kind, pixel = show_in_browser(textured, np.pi, shading="keep")
             assert kind == "MeshStandardMaterial"
             np.testing.assert_allclose(pixel, color, atol=8)
         # Reason for the non-metallic material of vertex colours in files for viewers.
-        kind, pixel = seen(False, np.pi, shading="bare")
+        kind, pixel = show_in_browser(False, np.pi, shading="bare")
         assert kind == "MeshStandardMaterial"
         assert pixel.max() < 10
