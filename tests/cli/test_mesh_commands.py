@@ -34,7 +34,7 @@ def test_clean_removes_the_speck_and_keeps_the_colours(scanloom: Run, ball: Path
     assert cleaned.colors is not None
 
 
-def test_clean_repairs_needles_and_reports_the_remaining_ones(scanloom: Run, tmp_path: Path) -> None:
+def test_clean_repairs_defects_and_reports_the_remaining_ones(scanloom: Run, tmp_path: Path) -> None:
     source, target = tmp_path / "thin.ply", tmp_path / "out.ply"
     x, y = np.meshgrid(np.arange(6.0), np.arange(6.0))
     # Two close vertices in the interior, and two on the boundary.
