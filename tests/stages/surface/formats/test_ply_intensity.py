@@ -75,13 +75,13 @@ def test_colors_have_priority_over_intensity(tmp_path: Path) -> None:
     assert ["intensity" in str(one) for one in mesh.diagnostics] == [True]
 
 
-def test_intensity_of_a_point_cloud_is_not_color(tmp_path: Path) -> None:
+def test_a_point_cloud_gets_no_color_from_its_intensity(tmp_path: Path) -> None:
     cloud = read_ply(write_text(tmp_path / "given.ply", "uchar", [1, 2, 3, 4], triangles=False))
     assert cloud.colors is None
     assert ["intensity" in str(one) for one in cloud.diagnostics] == [True]
 
 
-def test_invalid_intensities_become_zero_with_a_warning(tmp_path: Path) -> None:
+def test_invalid_values_become_zero_with_a_warning(tmp_path: Path) -> None:
     mesh = read_mesh(write_text(tmp_path / "given.ply", "float", [-3, "nan", 0.4, 1.0]))
     assert mesh.colors is not None
     assert mesh.colors[:, 0].tolist() == [0, 0, 102, 255]
