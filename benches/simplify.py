@@ -161,7 +161,7 @@ def call_in_subprocess(
 
     Raises
     ------
-    Missing
+    PeerUnavailable
         If the tool fails; the message is the last line it printed.
     """
     command = [

@@ -127,7 +127,7 @@ def panel_of(option: Any) -> str:
 
 
 def panel_order(option: Any) -> int:
-    """Return the position of the heading of an option: first the command's own options."""
+    """Return the sort key of an option's heading; the command's own options are first."""
     return (_OPTIONS_PANEL, SCAN_PANEL, COMMON_PANEL).index(panel_of(option))
 
 

@@ -51,7 +51,7 @@ def read_with_up(path: Path) -> Mesh:
 
 @contextmanager
 def locate_diagnostics(path: Path, called: str = "mesh") -> Iterator[None]:
-    """Replace the location `called` by the file in diagnostics about the mesh read from it."""
+    """Name the file in diagnostics about its mesh, which otherwise name `called` as the location."""
 
     def locate(diagnostic: Diagnostic) -> Diagnostic:
         is_about_mesh = diagnostic.where is None or diagnostic.where == DiagnosticLocation(called)

@@ -183,9 +183,10 @@ class Assignment:
 
 
 def read_assignments(assignments: Iterable[str], types: Mapping[str, type]) -> Iterator[Assignment]:
-    """Read words `section.parameter=value`; `none` makes a parameter derived from the data again.
+    """Parse assignments `section.parameter=value`.
 
-    Types are checked, but for words that are no number; `apply_changes` checks those, and ranges.
+    The value `none` resets a parameter, so that it is derived from the data. Types are checked here. Texts
+    that are not numbers, and ranges, are checked by `apply_changes`.
 
     Parameters
     ----------
@@ -194,7 +195,7 @@ def read_assignments(assignments: Iterable[str], types: Mapping[str, type]) -> I
     Raises
     ------
     UsageError
-        For words of another form, and for unknown sections and parameters.
+        For malformed assignments, and for unknown sections and parameters.
     """
     for assignment in assignments:
         key, equals, text = (part.strip() for part in assignment.partition("="))

@@ -55,7 +55,7 @@ def pytest_collection_finish() -> None:
 
 @pytest.fixture(scope="session")
 def shared_data() -> Path:
-    """Get the folder of real scans next to the checkout, or skip the test if there is none."""
+    """Get the folder of real scans next to the checkout, or skip the test if it does not exist."""
     folder = Path(__file__).resolve().parents[2] / "shared" / "data"
     if not folder.is_dir():
         pytest.skip("the real scans are not beside this checkout")

@@ -22,7 +22,7 @@ def load_meshoptimizer() -> ctypes.CDLL:
 
     Raises
     ------
-    Missing
+    PeerUnavailable
         Without cargo, or if the crate does not build.
     """
     crate = HERE / "meshoptimizer"
@@ -40,7 +40,7 @@ def load_cgal() -> ctypes.CDLL:
 
     Raises
     ------
-    Missing
+    PeerUnavailable
         Without a C++ compiler, or the headers of CGAL and Eigen.
     """
     options = ["-DCGAL_EIGEN3_ENABLED", "-isystem", "/usr/include/eigen3"]
@@ -59,7 +59,7 @@ def load_clusterlod() -> ctypes.CDLL:
 
     Raises
     ------
-    Missing
+    PeerUnavailable
         Without that folder, or a C++ compiler.
     """
     folder = os.environ.get("MESHOPTIMIZER")

@@ -1,7 +1,7 @@
 """Fusion of depth maps with a regularised distance field, in place of filtering the mesh.
 
 The volume has the voxel size, truncation, distances and weights of scanloom's fusion, because scanloom's
-kernel integrates each frame into a volume of its own. The weighted mean of the distances gives scanloom's
+kernel integrates each frame into a separate volume. The weighted mean of the distances gives scanloom's
 mesh. Instead, the field minimises an energy with total variation or second-order total generalised variation
 (total_variation.py). The field is on a narrow band of voxels around the surface of the mean.
 

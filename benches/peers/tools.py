@@ -35,7 +35,7 @@ class Tool:
     Attributes
     ----------
     prepare : returns the call to measure, and the conversion of its result.
-    version : returns the version; raises Missing if the tool cannot be called.
+    version : returns the version; raises PeerUnavailable if the tool cannot be called.
     keeps_color : True if the result has colours. Meshes without colours run with the first setting only.
     settings : keyword arguments of `prepare`, by name in the table.
     is_quadric : True if the tool uses quadric errors, as most do.

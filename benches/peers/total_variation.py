@@ -64,7 +64,7 @@ class VoxelOperators:
 
 
 def find_neighbours(positions: Positions) -> Indices:
-    """Find the index (3, n) of the next voxel along each axis; −1 if there is none."""
+    """Find the index (3, n) of the next voxel along each axis; −1 at the end."""
     low = positions.min(axis=0).astype(np.int64)
     size = positions.max(axis=0) - low + 2
     keys = np.ravel_multi_index(tuple((positions - low).T), tuple(size))
@@ -79,7 +79,7 @@ def find_neighbours(positions: Positions) -> Indices:
 
 
 def _invert(following: Indices) -> Indices:
-    """Return the index (n,) of the voxel before each one; −1 if there is none."""
+    """Return the index (n,) of the voxel before each one; −1 at the start."""
     before = np.full(len(following), -1)
     found = np.flatnonzero(following >= 0)
     before[following[found]] = found

@@ -1,4 +1,4 @@
-//! Triangles with a vertex of their own for each corner, made one surface again.
+//! Welding of triangles with separate vertices into one surface.
 
 use criterion::Criterion;
 use scanloom_kernels::seams::welding::weld;

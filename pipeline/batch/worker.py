@@ -69,7 +69,7 @@ class Worker:
     timeout : seconds without progress after which a job is ended, 0 for never; None for the setting of the
         queue.
     only : numbers of the jobs to run; None for all.
-    wait_for_others : True to wait for jobs of other workers, and take over those of dead workers.
+    wait_for_others : True to wait for jobs of other workers, and take over jobs of dead workers.
     on_event : callback for progress events.
     clock : monotonic clock in seconds, for `timeout`.
     """

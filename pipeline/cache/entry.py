@@ -136,7 +136,7 @@ def complete_entry(draft: Path, recipe: Recipe, record: Mapping[str, Any]) -> No
 
 
 def verify_entry(folder: Path) -> dict[str, Any]:
-    """Read the manifest of an entry and verify all files; raise DamagedError."""
+    """Read the manifest of an entry and verify all files; raise DamagedEntryError."""
     manifest = read_manifest(folder)
     names = list(manifest["files"])
     inside = Path(os.path.realpath(folder))
@@ -159,7 +159,7 @@ def verify_entry(folder: Path) -> dict[str, Any]:
 
 
 def read_manifest(folder: Path) -> dict[str, Any]:
-    """Read the manifest of an entry without checking its files; raise DamagedError."""
+    """Read the manifest of an entry without checking its files; raise DamagedEntryError."""
     try:
         manifest: dict[str, Any] = json.loads(_read_text(folder / MANIFEST))
         sealed = manifest.pop("digest")

@@ -21,7 +21,7 @@ from scanloom.stages.surface.topology import compute_areas
 
 
 def read_filled_colormap(path: Path, mesh: Mesh) -> VertexColormap | None:
-    """Make the colormap that marks filled holes; None if there are none.
+    """Make the colormap that marks filled holes; None without filled holes.
 
     Parameters
     ----------
@@ -49,7 +49,7 @@ def read_filled_colormap(path: Path, mesh: Mesh) -> VertexColormap | None:
 def make_fillings_table(
     report: Mapping[str, Any], rotation: NDArray[np.float64], away: float, *, is_metric: bool
 ) -> dict[str, Any] | None:
-    """Make the table of the largest filled holes; None if there are none.
+    """Make the table of the largest filled holes; None without filled holes.
 
     Parameters
     ----------

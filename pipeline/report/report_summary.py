@@ -73,7 +73,7 @@ def make_deviation_tables(
     Parameters
     ----------
     deviation : metrics of `scanloom.Deviations`.
-    proven_bound : proven bound in metres; None if there is none.
+    proven_bound : proven bound in metres; None without one.
     targets : camera targets of the worst locations, as for `make_single_file_page`.
     title : title of the first table.
     is_metric : True if lengths are in metres; False if in units of the scan.

@@ -56,7 +56,7 @@ class RefineSection(RefineParams):
     )
 
     def has_memory_for(self, triangles: int) -> bool:
-        """Return True if a mesh of so many triangles can be refined within the memory limit."""
+        """Return True if a mesh with this triangle count can be refined within the memory limit."""
         return estimate_memory(triangles) <= self.memory * 1e6
 
 

@@ -326,7 +326,7 @@ def check(
 
     Returns
     -------
-    Checked
+    CheckResult
 
     Raises
     ------

@@ -202,7 +202,7 @@ def clean(
 
     Returns
     -------
-    Cleaned
+    CleaningResult
 
     Raises
     ------

@@ -187,7 +187,7 @@ def repair(
 
     Returns
     -------
-    Repaired
+    RepairResult
 
     Raises
     ------

@@ -94,7 +94,7 @@ def make_distance_target(mesh: Mesh, box: Floats, surface: NeedleSafeSurface | N
 
     Parameters
     ----------
-    mesh : mesh or cloud returned by `comparable`.
+    mesh : mesh or cloud returned by `to_mesh_or_cloud`.
     box : (2, 3) minimum and maximum corner of all geometry involved in queries.
     surface : existing search structure of the mesh, built for this box; None to build one on first use.
     """

@@ -174,7 +174,7 @@ def export(
 
     Returns
     -------
-    Exported
+    ExportResult
         File, sizes, quantization error and diagnostics.
 
     Raises

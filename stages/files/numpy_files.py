@@ -38,7 +38,7 @@ def map_array(path: Path) -> NDArray[Any]:
     Raises
     ------
     OSError, ValueError, EOFError
-        As NumPy; or another of NPY_FAULTS. A header that states more data than the file holds raises
+        As NumPy; or another of NPY_ERRORS. A header that states more data than the file holds raises
         ValueError.
     """
     with _PARSER_LOCK:
@@ -53,7 +53,7 @@ def parse_array(content: BytesIO) -> NDArray[Any]:
     ------
     ValueError
         If the content is not a .npy file, holds objects, or is shorter than its header states; or another of
-        NPY_FAULTS.
+        NPY_ERRORS.
     """
     with _PARSER_LOCK:
         version = np.lib.format.read_magic(content)

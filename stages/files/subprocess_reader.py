@@ -50,7 +50,7 @@ def run_reader_subprocess(module: str, arguments: Sequence[str], cpu_seconds: fl
         If the subprocess raised one.
     MemoryError
         If there was too little memory.
-    DiedError
+    SubprocessDiedError
         If the subprocess ended without an answer.
     """
     try:

@@ -402,7 +402,7 @@ def _validate(comparisons: Sequence[_Comparison]) -> BentDepth:
 
 
 def _fit(comparisons: Sequence[_Comparison], precision: Floats) -> Floats:
-    """Fit the coefficients (d,) of the correction, with a motion of its own for each pair."""
+    """Fit the coefficients (d,) of the correction, with a separate motion for each pair."""
     coefficients = np.zeros(COEFFICIENT_COUNT)
     for _ in range(_TUKEY_ITERATIONS):
         matrix, vector = precision.copy(), np.zeros(COEFFICIENT_COUNT)

@@ -1,4 +1,4 @@
-"""Export of a hierarchy as 3D Tiles, which viewers stream by view.
+"""Export of a hierarchy as 3D Tiles, which viewers load depending on the view.
 
 Source: Open Geospatial Consortium, "3D Tiles specification 1.1", 22-025r4, 2023.
 """

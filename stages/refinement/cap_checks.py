@@ -14,10 +14,11 @@ from scanloom.stages.surface.edges import Edges, Ids, build_edges, is_known_key
 from scanloom.stages.surface.mesh import Mesh
 from scanloom.stages.surface.topology import is_degenerate
 
-# Minimum cosine between the normals of adjacent triangles (150°), and maximum part of the rim edges that
-# may be folded more: noisy rims have folds of their own.
+# Minimum cosine between the normals of adjacent triangles (150°), and maximum ratio of rim edges with a
+# sharper fold, because noisy rims are folded as well.
 _MIN_FOLD_COSINE, _MAX_FOLDED_RIM_RATIO = -0.866, 0.2
-# Minimum distance from other surface in edge lengths. Surface within so many rings of the rim is not tested.
+# Minimum distance from other surface in edge lengths. Surface within this number of rings around the rim is
+# not tested.
 _MIN_CLEARANCE_EDGES, _NEAR_RINGS = 0.7, 4
 
 
@@ -36,14 +37,14 @@ class CapSamples(NamedTuple):
 
 
 def sample_caps(caps: Caps) -> CapSamples:
-    """Sample the caps at centroids and at the middles of edges."""
+    """Sample the caps at centroids and at midpoints of edges."""
     cap_mesh = caps.cap_mesh
     corners = cap_mesh.points[cap_mesh.triangles]
     middles = (corners + np.roll(corners, -1, axis=1)) / 2
     points = np.concatenate([corners.mean(axis=1), middles.reshape(-1, 3)])
     normals = _normalize(compute_normals(cap_mesh.points, cap_mesh.triangles))
     edges = build_edges(cap_mesh.triangles, len(cap_mesh.points))
-    # Middles of rim edges are measured surface; those of inner edges are sampled once.
+    # Midpoints of rim edges are measured surface; midpoints of inner edges are sampled once.
     inner = edges.halfedges[edges.start[edges.triangle_count == 2]]
     chosen = np.concatenate([np.arange(len(corners)), len(corners) + inner])
     triangles = np.concatenate([np.arange(len(corners)), inner // 3])

@@ -101,7 +101,7 @@ def compute_normals(points: Floats, triangles: Ids) -> Floats:
 
 
 def _split_edges(caps: CapMesh, target_lengths: Floats) -> CapMesh | None:
-    """Split edges that are too long, the longest first; None if there are none."""
+    """Split edges that are too long, the longest first; None without such edges."""
     edges = build_edges(caps.triangles, len(caps.points))
     inner, first, second = find_inner_edges(edges, caps.patches)
     ends = edges.ends[inner]

@@ -70,7 +70,7 @@ def color_fillings(
 
     Parameters
     ----------
-    mesh : with the colours of its rims; those of filled vertices are not used.
+    mesh : mesh with colours at the rims; colours of filled vertices are not used.
     is_filled : (n,) True for the vertices inside of filled holes.
     frames : frames of the scan. Those without photo or pose are ignored.
     progress : called with the number of photos done.
@@ -186,7 +186,7 @@ def _choose_photos(ratings: NDArray[np.int16]) -> list[int]:
 def _blend_with_rim(
     mesh: Mesh, triangles: Triangles, samples: _Samples, is_filled: NDArray[np.bool_]
 ) -> Colors:
-    """Return the colours of the mesh with those of the photos in fillings.
+    """Return the colours of the mesh, with photo colours in fillings.
 
     Parameters
     ----------

@@ -74,7 +74,7 @@ class FreeSpaceTest:
 def _find_nearest_depth(depth: DepthImage) -> tuple[DepthImage, NDArray[np.uint8]]:
     """Return the minimum depth of 3 × 3 pixels, and the number of pixels with depth among them.
 
-    The minimum is 0 where the pixel in the middle has no depth.
+    The minimum is 0 if the central pixel has no depth.
 
     Poses and depth maps are hardly more accurate than a pixel: next to an occlusion boundary, a ray may miss
     the surface in front.

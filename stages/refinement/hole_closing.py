@@ -28,7 +28,7 @@ from scanloom.stages.surface.topology import compute_areas
 
 # Default limit of the border length, in mean edge lengths.
 _DEFAULT_LENGTH_EDGES = 20.0
-# A measurement that is so many edge lengths behind a cap proves free space.
+# A measurement at least this number of edge lengths behind a cap proves free space.
 _FREE_SPACE_EDGES = 2.0
 # Deviation of the vertices of a cap relative to the median: as for vertices that no frame measured.
 _FILLED_DEVIATION_RATIO = 3.0
@@ -60,11 +60,11 @@ class ClosedHoles:
 
     Attributes
     ----------
-    mesh : vertices and triangles of the caps follow those of the input. New vertices are black; see
+    mesh : vertices and triangles of the caps are appended to the input. New vertices are black; see
         `color_fillings`.
     is_filled : (n,) True for the vertices of caps.
     deviations, plane_ids : (n,) as in `RefinementResult`.
-    fillings : of each closed hole, the largest first.
+    fillings : fillings of the closed holes, the largest first.
     """
 
     mesh: Mesh

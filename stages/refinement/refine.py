@@ -127,7 +127,7 @@ class RefinementResult:
 
 
 def estimate_memory(triangles: int) -> int:
-    """Estimate the memory that `refine` needs for a mesh of so many triangles, bytes.
+    """Estimate the memory that `refine` needs for a triangle count, bytes.
 
     The libraries themselves are not included.
     """

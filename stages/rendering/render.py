@@ -50,7 +50,7 @@ _RESTART_OFFSET_RATIO = 1e-5
 _MAX_CULLED = 16
 # Minimum near-to-far depth ratio of a box for its projection. Closer boxes are treated as filling the image.
 _MIN_DEPTH_RATIO = 1e-3
-# A vertex normal farther from that of a triangle (26°) has no effect on it: the vertex is on a crease.
+# A vertex normal at a larger angle (26°) to the normal of a triangle is ignored: the vertex is on a crease.
 _MIN_CREASE_COSINE = 0.9
 _TINY = np.finfo(np.float32).tiny
 

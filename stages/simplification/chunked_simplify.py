@@ -127,19 +127,15 @@ def simplify_chunked(
 ) -> ChunkedSimplifyResult:
     """Simplify a chunked PLY file.
 
-    Memory usage is 1.5 times the result, plus the memory to simplify AT_ONCE triangles.
+    Memory usage is 1.5 times the result, plus the memory to simplify MAX_TRIANGLES_AT_ONCE triangles.
 
     Parameters
     ----------
     path : PLY file next to its chunk table, as written by fusion and cleaning.
     params : see SimplifyParams. A triangle count is distributed in proportion to the triangles of each part.
-        Without a count or a bound, at most MOST_AT_ONCE triangles are left.
+        Without a count or a bound, at most MAX_IN_MEMORY_TRIANGLES are left.
     scratch : folder for temporary files on a disk with enough space; the system's default if None.
     progress : called with (triangles done, all triangles).
-
-    Returns
-    -------
-    InPieces
 
     Raises
     ------
@@ -232,7 +228,7 @@ def _simplify_parts(
     *,
     is_last: bool = False,
 ) -> _RoundResult:
-    """Simplify parts one by one, at most AT_ONCE triangles at a time.
+    """Simplify parts one by one, at most MAX_TRIANGLES_AT_ONCE triangles at a time.
 
     Parameters
     ----------

@@ -25,7 +25,7 @@ def report_unmet_requirements(params: SimplifyParams, statistics: Mapping[str, A
     Parameters
     ----------
     params : parameters of `simplify`.
-    statistics : statistics of the result, from `Simplified.statistics`.
+    statistics : statistics of the result, from `SimplificationResult.to_dict`.
     """
     details = statistics["details"]
     if details.get("proven") is False and statistics.get("default_max_shape_m") is None:

@@ -163,7 +163,7 @@ def simplify(
 
     Returns
     -------
-    Simplified
+    SimplificationResult
         With `details` of the method's type. Images of the input are baked again (`baked`, see
         `scanloom.stages.simplification.bake_planning`), unless `keep_uv` or a method that preserves them is
         given. Without images, the mesh has vertex colours if the input has. `diagnostics` contain lost

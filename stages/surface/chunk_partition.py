@@ -28,7 +28,7 @@ def write_in_chunks(path: Path, mesh: Mesh, values: Mapping[str, NDArray[np.floa
     """Write a mesh as PLY, ordered by chunks, with a chunk table if it is large.
 
     The PLY file does not depend on the in-memory limit. A vertex belongs to the cube that contains it, and a
-    triangle to the first cube of its corners. The order within a chunk is that of the mesh.
+    triangle to the first cube of its corners. Within a chunk, the order of the mesh is kept.
 
     Parameters
     ----------

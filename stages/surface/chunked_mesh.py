@@ -33,7 +33,7 @@ _MAX_SINGLE_CHUNK_TRIANGLES = 1_000_000
 
 @dataclass(frozen=True, eq=False)
 class TriangleBatch:
-    """A batch of at most AT_ONCE triangles of a chunk.
+    """A batch of at most BATCH_TRIANGLES triangles of a chunk.
 
     Attributes
     ----------
@@ -122,7 +122,7 @@ class ChunkedMesh:
         return self._chunks.read_chunk(index).mesh
 
     def iterate_batches(self, *, with_normals: bool = False) -> Iterator[TriangleBatch]:
-        """Yield all triangles in batches of at most AT_ONCE.
+        """Yield all triangles in batches of at most BATCH_TRIANGLES.
 
         Parameters
         ----------

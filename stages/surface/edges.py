@@ -70,7 +70,7 @@ def build_edges(triangles: Triangles, vertex_count: int) -> Edges:
 
 
 def make_edge_keys(a: Ids, b: Ids) -> NDArray[np.int64]:
-    """Return one integer per undirected edge; the order is that of the smaller, then of the larger vertex."""
+    """Return one integer per undirected edge, ordered by the smaller, then by the larger vertex."""
     return np.asarray(np.minimum(a, b).astype(np.int64) << 32 | np.maximum(a, b).astype(np.int64))
 
 

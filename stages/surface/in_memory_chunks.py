@@ -18,7 +18,7 @@ _CHUNK_TRIANGLES = 500_000
 
 
 class InMemoryChunks:
-    """Chunks of a mesh in memory, with the reading interface of `Pieces`.
+    """Chunks of a mesh in memory, with the reading interface of `ChunkedPly`.
 
     Vertices are renumbered by the first chunk that uses them. Unused vertices are dropped.
 

@@ -58,7 +58,7 @@ def as_mesh(data: MeshLike, where: str = "mesh") -> Mesh:
     if isinstance(data, tuple) and len(data) == 2:
         return validate_mesh(Mesh(np.asarray(data[0]), np.asarray(data[1])), where)
     # Classes are recognised by name and module, because isinstance would need an import of the library. Type
-    # checkers use the protocols of `foreign_meshes` instead.
+    # checkers use the protocols of `library_protocols` instead.
     other: Any = data
     for cls in type(data).__mro__:
         module = cls.__module__

@@ -28,7 +28,7 @@ _MAX_NORMAL_ANGLE_DEG = 8.0
 _MAX_GUESS_ERROR_DEG = 60.0
 # Minimum ratio of the surface area that must support a direction.
 _MIN_AREA_RATIO = 0.03
-# A smaller area is a floor if it lies at the bottom of the scene: minimum ratio of the surface area, height
+# A smaller area is a floor if it is at the bottom of the scene: minimum ratio of the surface area, height
 # of the layer that contains the floor, as ratio of the scene's size, and maximum ratio of the area below it.
 _MIN_FLOOR_RATIO, _FLOOR_LAYER_RATIO, _MAX_BELOW_RATIO = 0.005, 0.02, 0.02
 # Degrees. Maximum error of the initial guess for such a floor.
@@ -258,11 +258,11 @@ def estimate_up_from_cameras(poses: Floats) -> Floats:
 
 
 def estimate_up_from_surface(mesh: Mesh, guess: Floats) -> Floats | None:
-    """Estimate the up direction (3,) from floors and table tops; None if there are none.
+    """Estimate the up direction (3,) from floors and table tops; None without them.
 
     Among the directions within 60° of the guess, the result maximises the supporting area times the cosine of
     the angle to the guess. If hardly any surface is level, a small floor counts if it is the bottom of the
-    scene: the cameras are seldom held level in a room of which little floor is visible.
+    scene, because cameras are seldom level in a room with little visible floor.
 
     Parameters
     ----------
@@ -290,7 +290,7 @@ def estimate_up_from_surface(mesh: Mesh, guess: Floats) -> Floats | None:
 def _find_floor(
     centers: Floats, normals: Floats, area_ratios: Floats, candidates: Floats, guess: Floats
 ) -> Floats | None:
-    """Return the normal (3,) of a small floor at the bottom of the scene; None if there is none.
+    """Find the normal (3,) of a small floor at the bottom of the scene; None without a floor.
 
     Parameters
     ----------

@@ -48,7 +48,7 @@ def test_a_removed_triangle_leaves_new_border_inside_and_on_the_seam():
 def test_a_texture_turned_over_is_counted():
     found = measure_soundness(make_strip(), make_strip(mirrored=True))
     assert (found.uv_flips, found.uv_triangles) == (2, 4)
-    # Where the original is mirrored too, nothing is flipped.
+    # Nothing counts as flipped if the original is mirrored as well.
     assert measure_soundness(make_strip(mirrored=True), make_strip(mirrored=True)).uv_flips == 0
 
 

@@ -1,4 +1,4 @@
-"""The loop: cases of each kind in turn until the time is over, counted, and the failures kept."""
+"""Loop of the campaign: cases of each kind in turn until the time is over, counts, and stored failures."""
 
 from __future__ import annotations
 
@@ -14,25 +14,25 @@ from typing import Any
 
 from tests.campaign import kept
 from tests.campaign.judge import Judge
-from tests.campaign.reader_cases import reader_case, written
-from tests.campaign.run_cases import Bench, bench, run_case
+from tests.campaign.reader_cases import make_reader_case, write_files
+from tests.campaign.run_cases import UndisturbedRun, prepare_run, run_case
 from tests.campaign.specimens import write_all
 from tests.campaign.verdict import FAILED, Verdict
 
 KINDS = ("readers", "runs", "kernels", "fusion")
-# So that no kind takes the time of the others: cases in a row before the next kind's turn.
+# Cases in a row before the next kind, so that no kind takes the time of the others.
 _TURN = {"readers": 100, "runs": 1, "kernels": 10, "fusion": 10}
 
 Counts = dict[str, Counter[str]]
 
 
 class Campaign:
-    """What cases need: a folder to work in, a child process, and an undisturbed run to compare with."""
+    """Resources of cases: a working folder, a child process, and an undisturbed run for comparison."""
 
     def __init__(self, failures: Path) -> None:
         self._failures = failures
         self._stack = ExitStack()
-        self._bench: Bench | None = None
+        self._bench: UndisturbedRun | None = None
 
     def __enter__(self) -> Campaign:
         made = tempfile.TemporaryDirectory(prefix="campaign-", ignore_cleanup_errors=True)
@@ -48,41 +48,41 @@ class Campaign:
         files: dict[str, bytes] = {}
         case: dict[str, Any] = {"kind": kind, "seed": seed}
         if kind == "readers":
-            case, files = reader_case(seed, self._specimens())
-        place = self._fresh()
-        written(files, place)
-        verdict = self._verdict(case, place)
+            case, files = make_reader_case(seed, self._write_specimens())
+        place = self._make_folder()
+        write_files(files, place)
+        verdict = self._judge_case(case, place)
         shutil.rmtree(place, ignore_errors=True)
         if verdict.outcome == FAILED:
-            return verdict, kept.keep(self._failures, case, verdict, files)
+            return verdict, kept.store(self._failures, case, verdict, files)
         return verdict, None
 
-    def again(self, file: Path) -> Verdict:
-        """Repeat a failure that was kept."""
-        place = self._fresh()
-        return self._verdict(kept.load(file, place), place)
+    def repeat(self, file: Path) -> Verdict:
+        """Repeat a stored failure."""
+        place = self._make_folder()
+        return self._judge_case(kept.load(file, place), place)
 
-    def _verdict(self, case: dict[str, Any], place: Path) -> Verdict:
+    def _judge_case(self, case: dict[str, Any], place: Path) -> Verdict:
         if case["kind"] == "runs":
             if self._bench is None:
-                self._bench = bench(self._folder / "bench")
+                self._bench = prepare_run(self._folder / "bench")
             return run_case(case["seed"], self._bench, place)
         asked = {key: case[key] for key in ("kind", "seed")}
         if case["kind"] == "readers":
             asked |= {"reader": case["reader"], "file": str(place / case["target"])}
-        return self._judge.verdict(asked)
+        return self._judge.judge(asked)
 
-    def _specimens(self) -> Path:
+    def _write_specimens(self) -> Path:
         folder = self._folder / "specimens"
         if not folder.exists():
             write_all(folder)
         return folder
 
-    def _fresh(self) -> Path:
+    def _make_folder(self) -> Path:
         return Path(tempfile.mkdtemp(prefix="case-", dir=self._folder))
 
 
-def hold(
+def run_campaign(
     failures: Path,
     seed: int,
     kinds: Sequence[str],
@@ -91,9 +91,9 @@ def hold(
     minutes: float | None = None,
     cases: int | None = None,
 ) -> Counts:
-    """Run cases until the minutes are over, or so many of each kind, and return the counts by kind.
+    """Run cases for some minutes, or a number of each kind; return the counts by kind.
 
-    Seeds count up from `seed` for each kind: the same one gives the same cases.
+    Seeds count up from `seed` for each kind: the same seed gives the same cases.
     """
     counts: Counts = {kind: Counter() for kind in kinds}
     ends = float("inf") if minutes is None else time.monotonic() + 60 * minutes
@@ -108,6 +108,6 @@ def hold(
                     verdict, file = campaign.run(kind, next(seeds[kind]))
                     counts[kind][verdict.outcome] += 1
                     if file is not None:
-                        last = verdict.said.strip().splitlines()[-1][:200]
+                        last = verdict.message.strip().splitlines()[-1][:200]
                         say(f"{kind}: {last}\n  repeat it with --again {file}")
     return counts

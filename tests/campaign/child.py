@@ -1,6 +1,6 @@
-"""The process that runs cases, one a line of its input, with limits on its memory and on a case's time.
+"""Child process that runs cases, one per input line, with limits on memory and processor time.
 
-It answers on the standard output it was started with; what libraries print goes to the standard error.
+Answers go to the original standard output; output of libraries goes to standard error.
 """
 
 from __future__ import annotations
@@ -13,21 +13,21 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from tests.campaign.fusion_cases import fusion_case
-from tests.campaign.kernel_cases import kernel_case
+from tests.campaign.fusion_cases import run_fusion_case
+from tests.campaign.kernel_cases import run_kernel_case
 from tests.campaign.reading import READERS
-from tests.campaign.verdict import Verdict, judged
+from tests.campaign.verdict import Verdict, judge
 
-# What a case may take beyond the libraries that are loaded, bytes; each file is of some kilobytes.
+# Memory of a case in addition to the loaded libraries, bytes; each file has some kilobytes.
 _MEMORY = 3 << 30
 
 
-def verdict_of(case: dict[str, Any]) -> Verdict:
-    """Run a case: of a reader and the file it reads, or of kernels by its seed."""
+def run_case(case: dict[str, Any]) -> Verdict:
+    """Run a case: a reader with its file, or kernels with a seed."""
     if case["kind"] == "readers":
-        return judged(lambda: READERS[case["reader"]](Path(case["file"])))
-    run = {"kernels": kernel_case, "fusion": fusion_case}[case["kind"]]
-    return judged(lambda: run(case["seed"]))
+        return judge(lambda: READERS[case["reader"]](Path(case["file"])))
+    run = {"kernels": run_kernel_case, "fusion": run_fusion_case}[case["kind"]]
+    return judge(lambda: run(case["seed"]))
 
 
 def _limit_memory() -> None:
@@ -44,9 +44,9 @@ def main() -> None:
         _limit_memory()
     for line in sys.stdin:
         case = json.loads(line)
-        # Without a handler, the signal ends the process: nothing has to notice it.
+        # Without a handler, the signal ends the process, even inside a library.
         signal.setitimer(signal.ITIMER_PROF, case["seconds"])
-        verdict = verdict_of(case)
+        verdict = run_case(case)
         signal.setitimer(signal.ITIMER_PROF, 0)
         answers.write(json.dumps(verdict.to_dict()) + "\n")
         answers.flush()

@@ -1,4 +1,4 @@
-"""Damage inside containers, with their own sizes and checksums put right again: ZIP, NPY, GLB, PLY."""
+"""Damage inside containers, with valid sizes and checksums: ZIP, NPY, GLB, PLY."""
 
 from __future__ import annotations
 
@@ -9,17 +9,17 @@ import struct
 import zipfile
 from collections.abc import Callable
 
-from tests.campaign.byte_damage import damaged_bytes
-from tests.campaign.json_damage import damaged_json
-from tests.campaign.text_damage import damaged_text
+from tests.campaign.byte_damage import damage_bytes
+from tests.campaign.json_damage import damage_json
+from tests.campaign.text_damage import damage_text
 
 _GLB_HEADER = struct.Struct("<4sII")
 _GLB_CHUNK = struct.Struct("<II")
 _PLY_END = b"end_header\n"
 
 
-def damaged_zip(data: bytes, draw: random.Random) -> bytes:
-    """Damage, remove, double or rename one member; the archive itself stays whole."""
+def damage_zip(data: bytes, draw: random.Random) -> bytes:
+    """Damage, remove, copy or rename one member; the archive stays valid."""
     with zipfile.ZipFile(io.BytesIO(data)) as archive:
         members = [(info.filename, archive.read(info)) for info in archive.infolist()]
     at = draw.randrange(len(members))
@@ -34,7 +34,7 @@ def damaged_zip(data: bytes, draw: random.Random) -> bytes:
         case 3:
             members[at] = (name, draw.choice(members)[1])
         case _:
-            members[at] = (name, _damaged_member(content, draw))
+            members[at] = (name, _damage_member(content, draw))
     out = io.BytesIO()
     with zipfile.ZipFile(out, "w", draw.choice((zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED))) as archive:
         for name, content in dict(members).items():
@@ -42,20 +42,20 @@ def damaged_zip(data: bytes, draw: random.Random) -> bytes:
     return out.getvalue()
 
 
-def _damaged_member(content: bytes, draw: random.Random) -> bytes:
+def _damage_member(content: bytes, draw: random.Random) -> bytes:
     if content[:6] != b"\x93NUMPY":
         try:
-            return damaged_json(content, draw)
+            return damage_json(content, draw)
         except ValueError:
-            return damaged_bytes(content, draw)
+            return damage_bytes(content, draw)
     end = 10 + int.from_bytes(content[8:10], "little")
     if draw.random() < 0.4:
-        return content[:10] + _other_header(content[10:end], draw) + content[end:]
-    return content[:end] + damaged_bytes(content[end:], draw)
+        return content[:10] + _replace_header(content[10:end], draw) + content[end:]
+    return content[:end] + damage_bytes(content[end:], draw)
 
 
-def _other_header(header: bytes, draw: random.Random) -> bytes:
-    """Let the first line of a NumPy array claim another shape or type, at the same length."""
+def _replace_header(header: bytes, draw: random.Random) -> bytes:
+    """Change shape or type in the header of a NumPy array; the length stays the same."""
     text = header.decode("latin-1").rstrip()
     shape = draw.choice(
         ("()", "(0,)", "(1,)", "(3, 3)", "(-1,)", "(2305843009213693952, 3)", "(7, 0)", "'a'")
@@ -70,8 +70,8 @@ def _other_header(header: bytes, draw: random.Random) -> bytes:
     return text.encode("latin-1").ljust(len(header) - 1)[: len(header) - 1] + b"\n"
 
 
-def damaged_glb(data: bytes, draw: random.Random) -> bytes:
-    """Damage the JSON or the numbers of a GLB file; sizes are put right, so that its parser is reached."""
+def damage_glb(data: bytes, draw: random.Random) -> bytes:
+    """Damage the JSON or the binary chunk of a GLB file; sizes are valid, so that the parser is reached."""
     chunks = []
     at = _GLB_HEADER.size
     while at + _GLB_CHUNK.size <= len(data):
@@ -81,24 +81,24 @@ def damaged_glb(data: bytes, draw: random.Random) -> bytes:
         at += size
     which = 0 if draw.random() < 0.7 else draw.randrange(len(chunks))
     kind, content = chunks[which]
-    content = damaged_json(content, draw) if which == 0 else damaged_bytes(content, draw)
+    content = damage_json(content, draw) if which == 0 else damage_bytes(content, draw)
     chunks[which] = (kind, content + b" " * (-len(content) % 4))
     body = b"".join(_GLB_CHUNK.pack(len(content), kind) + content for kind, content in chunks)
     return _GLB_HEADER.pack(b"glTF", 2, _GLB_HEADER.size + len(body)) + body
 
 
-def damaged_ply(data: bytes, draw: random.Random) -> bytes:
-    """Let the header of a PLY file lie, or damage the rows below it."""
+def damage_ply(data: bytes, draw: random.Random) -> bytes:
+    """Damage the header of a PLY file, or the rows below it."""
     head, end, rows = data.partition(_PLY_END)
     if draw.random() < 0.6:
-        return damaged_text(head, draw) + end + rows
-    damage = damaged_text if b"format ascii" in head else damaged_bytes
+        return damage_text(head, draw) + end + rows
+    damage = damage_text if b"format ascii" in head else damage_bytes
     return head + end + damage(rows, draw)
 
 
-# By the start of a file: its name may say less.
+# Containers are recognised by the start of the content, because a file name may not state the format.
 CONTAINERS: tuple[tuple[bytes, Callable[[bytes, random.Random], bytes]], ...] = (
-    (b"PK\x03\x04", damaged_zip),
-    (b"glTF", damaged_glb),
-    (b"ply\n", damaged_ply),
+    (b"PK\x03\x04", damage_zip),
+    (b"glTF", damage_glb),
+    (b"ply\n", damage_ply),
 )

@@ -1,4 +1,4 @@
-"""Damage to JSON that stays JSON: one value, key or list changed for what nobody expects there."""
+"""Damage to JSON that stays valid JSON: a value, key or list that no reader expects."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import json
 import random
 from typing import Any
 
-# Stands in the text for what `json.dumps` does not write.
+# Placeholder for text that `json.dumps` does not write.
 _MARK = "@@here@@"
 _RAW = (
     "0",
@@ -43,19 +43,19 @@ _RAW = (
 )
 
 
-def damaged_json(data: bytes, draw: random.Random) -> bytes:
-    """Return JSON text with one value replaced, removed or doubled.
+def damage_json(data: bytes, draw: random.Random) -> bytes:
+    """Replace, remove or repeat one value of JSON text.
 
     Raises
     ------
     ValueError
-        If it is no JSON, or holds nothing that can be changed.
+        If the text is not JSON, or has no value to change.
     """
     document = json.loads(data)
-    places = list(_places(document))
+    places = list(_list_places(document))
     if not places:
         raise ValueError("nothing to change")
-    # Rare keys first: coordinates and poses are most of the values of most documents.
+    # Named keys are preferred, because coordinates and poses are most of the values of most documents.
     holder, key = draw.choice([p for p in places if isinstance(p[1], str)] or places)
     if draw.random() < 0.3:
         holder, key = draw.choice(places)
@@ -75,8 +75,8 @@ def damaged_json(data: bytes, draw: random.Random) -> bytes:
     return json.dumps(document).replace(f'"{_MARK}"', raw).encode()
 
 
-def _places(value: Any) -> list[tuple[Any, Any]]:
-    """Return every (table or list, key or position) within a document."""
+def _list_places(value: Any) -> list[tuple[Any, Any]]:
+    """List every (table or list, key or index) within a document."""
     found: list[tuple[Any, Any]] = []
     waiting = [value]
     while waiting:

@@ -1,4 +1,4 @@
-"""Have cases run by a child process, which is replaced when a case takes it down."""
+"""Run cases in a child process, which is replaced when a case ends it."""
 
 from __future__ import annotations
 
@@ -15,16 +15,15 @@ from tests.campaign.verdict import FAILED, Verdict
 
 # Processor time of a case by kind, seconds.
 SECONDS = {"readers": 10.0, "kernels": 120.0, "fusion": 120.0}
-# A machine with much to do takes longer by the clock; only what waits for ever passes this.
+# Factor from processor time to elapsed time; on a busy machine, only a blocked case exceeds it.
 _PATIENCE = 12
 
 
 class Judge:
-    """A child process with its pipes; after a crash or a timeout, the next case gets a new one."""
+    """Child process with its pipes; after a crash or a timeout, the next case gets a new process."""
 
     def __init__(self) -> None:
         self._child: subprocess.Popen[str] | None = None
-        # Closed where the judge ends.
         self._errors: IO[str] = tempfile.TemporaryFile("w+", encoding="utf-8", errors="replace")  # noqa: SIM115
 
     def __enter__(self) -> Judge:
@@ -36,10 +35,10 @@ class Judge:
         self._end()
         self._errors.close()
 
-    def verdict(self, case: dict[str, Any]) -> Verdict:
-        """Run one case; what a child does not survive is a failure."""
+    def judge(self, case: dict[str, Any]) -> Verdict:
+        """Run one case; a crash or a timeout of the child process is a failure."""
         seconds = SECONDS[case["kind"]]
-        child = self._ready()
+        child = self._get_child()
         assert child.stdin is not None
         assert child.stdout is not None
         child.stdin.write(json.dumps({**case, "seconds": seconds}) + "\n")
@@ -48,11 +47,11 @@ class Judge:
         answer = child.stdout.readline() if ready else ""
         if answer:
             return Verdict(**json.loads(answer))
-        said = self._reason(child, bool(ready), seconds)
+        message = self._explain_end(child, bool(ready), seconds)
         self._end()
-        return Verdict(FAILED, said)
+        return Verdict(FAILED, message)
 
-    def _ready(self) -> subprocess.Popen[str]:
+    def _get_child(self) -> subprocess.Popen[str]:
         if self._child is None:
             self._errors.truncate(0)
             self._child = subprocess.Popen(
@@ -64,16 +63,16 @@ class Judge:
             )
         return self._child
 
-    def _reason(self, child: subprocess.Popen[str], ended: bool, seconds: float) -> str:
+    def _explain_end(self, child: subprocess.Popen[str], ended: bool, seconds: float) -> str:
         if not ended:
             return f"no answer within {_PATIENCE * seconds:g} s"
         code = child.wait()
         if code == -signal.SIGPROF:
             return f"more than {seconds:g} s of processor time"
         self._errors.seek(0)
-        told = self._errors.read()[-2000:]
+        output = self._errors.read()[-2000:]
         name = signal.Signals(-code).name if code < 0 else f"exit code {code}"
-        return f"the process ended with {name}\n{told}"
+        return f"the process ended with {name}\n{output}"
 
     def _end(self) -> None:
         child, self._child = self._child, None

@@ -1,4 +1,4 @@
-"""Failures on disk: one JSON file each, with the damaged files in it, that is enough to repeat the case."""
+"""Stored failures: one JSON file each, with the damaged files, sufficient to repeat the case."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from typing import Any
 from tests.campaign.verdict import Verdict
 
 
-def keep(folder: Path, case: dict[str, Any], verdict: Verdict, files: dict[str, bytes]) -> Path:
-    """Write a failure, with the files it reads by their names, and return its file."""
+def store(folder: Path, case: dict[str, Any], verdict: Verdict, files: dict[str, bytes]) -> Path:
+    """Write a failure with the files of its case, and return its path."""
     folder.mkdir(parents=True, exist_ok=True)
     held = {name: base64.b64encode(content).decode() for name, content in files.items()}
-    text = json.dumps({**case, "said": verdict.said, "files": held}, indent=1)
+    text = json.dumps({**case, "message": verdict.message, "files": held}, indent=1)
     digest = hashlib.sha256(text.encode()).hexdigest()[:8]
     path = folder / f"{case['kind']}-{case['seed']}-{digest}.json"
     path.write_text(text, encoding="utf-8")
@@ -23,7 +23,7 @@ def keep(folder: Path, case: dict[str, Any], verdict: Verdict, files: dict[str, 
 
 
 def load(path: Path, folder: Path) -> dict[str, Any]:
-    """Return the case of a failure; the files it reads are written into a folder."""
+    """Read the case of a failure, and write its files into a folder."""
     case: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
     for name, content in case.pop("files").items():
         file = folder / name

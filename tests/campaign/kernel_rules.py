@@ -1,4 +1,4 @@
-"""What the result of every kernel is held to, told by other means than the kernel's own."""
+"""Rules for results of kernels, checked independently of the kernels."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ _POINTS = 300
 
 
 def assert_sound(mesh: Mesh) -> None:
-    """Indices are in range, all numbers finite, and no triangle has a vertex twice."""
+    """Check that indices are in range, numbers are finite, and triangles have three different vertices."""
     validate_mesh(mesh)
     a, b, c = mesh.triangles.T
     assert not ((a == b) | (b == c) | (c == a)).any(), "a triangle has a vertex twice"
@@ -20,8 +20,8 @@ def assert_sound(mesh: Mesh) -> None:
         assert np.isfinite(mesh.texture.uvs).all(), "a texture coordinate is not finite"
 
 
-def border_edges(mesh: Mesh) -> int:
-    """Return how many edges have not two triangles, vertices in the same place taken as one."""
+def count_border_edges(mesh: Mesh) -> int:
+    """Count edges with an odd number of triangles, after welding vertices at equal positions."""
     _, number = np.unique(mesh.vertices, axis=0, return_inverse=True)
     triangles = number.reshape(-1)[mesh.triangles]
     edges = np.sort(triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
@@ -30,12 +30,12 @@ def border_edges(mesh: Mesh) -> int:
 
 
 def assert_manifold(triangles: NDArray[np.int32], count: int) -> None:
-    """Every edge has one triangle, or two that look to one side, and every vertex one fan; none is unused.
+    """Check that edges have one triangle or two consistent ones, and vertices one fan; none is unused.
 
     Parameters
     ----------
-    triangles : (m, 3), of vertices that are apart by their numbers.
-    count : of vertices.
+    triangles : (m, 3); vertices are distinguished by index, not by position.
+    count : number of vertices.
     """
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
@@ -48,7 +48,7 @@ def assert_manifold(triangles: NDArray[np.int32], count: int) -> None:
     assert (starts != ends).all(), "a triangle has a vertex twice"
     ways = starts.astype(np.int64) * count + ends
     assert len(np.unique(ways)) == len(ways), "an edge has two triangles that look to different sides"
-    # Corners at both ends of an edge belong together with those of its other triangle.
+    # Corners at both ends of an edge are connected to the corners of its other triangle.
     back = ends.astype(np.int64) * count + starts
     order = np.argsort(ways)
     place = np.minimum(np.searchsorted(ways, back, sorter=order), len(ways) - 1)
@@ -64,25 +64,28 @@ def assert_manifold(triangles: NDArray[np.int32], count: int) -> None:
 
 
 def assert_same_bytes(one: Mesh, other: Mesh) -> None:
-    """A result is the same on any number of threads."""
+    """Check that a result does not depend on the thread count."""
     for name in ("vertices", "triangles", "colors", "normals", "corner_normals", "part_ids"):
         a, b = getattr(one, name), getattr(other, name)
-        assert (a is None) == (b is None), f"threads decide whether there are {name}"
-        assert a is None or a.tobytes() == b.tobytes(), f"threads decide {name}"
+        assert (a is None) == (b is None), f"the presence of {name} depends on the thread count"
+        assert a is None or a.tobytes() == b.tobytes(), f"{name} depend on the thread count"
     if one.texture is not None and other.texture is not None:
-        assert one.texture.uvs.tobytes() == other.texture.uvs.tobytes(), "threads decide texture coordinates"
+        assert one.texture.uvs.tobytes() == other.texture.uvs.tobytes(), (
+            "texture coordinates depend on the thread count"
+        )
 
 
-def sampled_distance(mesh: Mesh, other: Mesh, rng: np.random.Generator, *, lines: bool) -> float:
-    """Return the greatest distance, metres, of some points of one mesh from the other; in double precision.
+def measure_sampled_distance(mesh: Mesh, other: Mesh, rng: np.random.Generator, *, lines: bool) -> float:
+    """Measure the maximum distance of sampled points of one mesh to another, metres.
 
-    A true bound on all points is no smaller. Triangles with two corners in one place are looked
-    at with `lines`: simplifying leaves them out, and says so where nothing else is there.
+    The computation is in double precision. A true bound for all points is at least as large. Triangles with
+    two corners at one position count only with `lines`: `simplify` drops them, and reports it if nothing else
+    is there.
     """
-    points = _points_on(mesh, rng, lines=lines)
+    points = _sample_points(mesh, rng, lines=lines)
     corners = other.vertices[other.triangles]
     nearest = np.full(len(points), np.inf)
-    # Every triangle is looked at, so that no tree has to be trusted.
+    # All triangles are searched, so that the result does not rely on a search tree.
     for at, point in enumerate(points):
         repeated = np.broadcast_to(point, (len(corners), 3))
         weights = compute_closest_weights(repeated, corners)
@@ -91,7 +94,7 @@ def sampled_distance(mesh: Mesh, other: Mesh, rng: np.random.Generator, *, lines
     return float(nearest.max(initial=0.0))
 
 
-def _points_on(mesh: Mesh, rng: np.random.Generator, *, lines: bool) -> NDArray[np.float64]:
+def _sample_points(mesh: Mesh, rng: np.random.Generator, *, lines: bool) -> NDArray[np.float64]:
     corners = mesh.vertices[mesh.triangles]
     if not lines:
         a, b, c = (corners[:, i] for i in range(3))

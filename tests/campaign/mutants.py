@@ -1,7 +1,8 @@
-"""Break one rule of the kernels at a time, in a copy, and see whether its test notices.
+"""Break one rule of the kernels at a time, in a copy, and check that its test fails.
 
-`python -m tests.campaign.mutants [NAME…]`: each takes a compilation of a minute or so. `--target FOLDER`
-keeps what is compiled for the next time. Exit code 1 where a mutant survives, or its test fails without it.
+`python -m tests.campaign.mutants [NAME…]`: each mutant takes a compilation of about a minute. `--target
+FOLDER` keeps compiled files for the next time. Exit code 1 if a mutant survives, or its test fails without
+the mutant.
 """
 
 from __future__ import annotations
@@ -20,10 +21,10 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 def main() -> int:
-    """Run the mutants that are named, or all of them."""
+    """Run the named mutants, or all of them."""
     parser = argparse.ArgumentParser(prog="python -m tests.campaign.mutants", description=__doc__)
     parser.add_argument("names", nargs="*", metavar="NAME", help=f"of {', '.join(MUTANTS)}")
-    parser.add_argument("--target", type=Path, help="folder for what is compiled")
+    parser.add_argument("--target", type=Path, help="folder for compiled files")
     chosen = parser.parse_args()
     if unknown := set(chosen.names) - set(MUTANTS):
         parser.error(f"there is no mutant {', '.join(sorted(unknown))}")
@@ -31,23 +32,25 @@ def main() -> int:
         target = (chosen.target or Path(made) / "target").resolve()
         copy = Path(made) / "checkout"
         shutil.copytree(ROOT / "kernels", copy / "kernels", ignore=shutil.ignore_patterns("target"))
-        ends = [_told(name, _ended(MUTANTS[name], copy, target)) for name in chosen.names or MUTANTS]
+        ends = [
+            _print_result(name, _run_mutant(MUTANTS[name], copy, target)) for name in chosen.names or MUTANTS
+        ]
     return int(any(end != "killed" for end in ends))
 
 
-def _told(name: str, end: str) -> str:
+def _print_result(name: str, end: str) -> str:
     sys.stdout.write(f"{name}: {end} ({MUTANTS[name].rule}; {MUTANTS[name].test})\n")
     sys.stdout.flush()
     return end
 
 
-def _ended(mutant: Mutant, copy: Path, target: Path) -> str:
-    """Return "killed" if the test passes without the mutant and fails with it, else what else happened."""
+def _run_mutant(mutant: Mutant, copy: Path, target: Path) -> str:
+    """Return "killed" if the test passes without the mutant and fails with it, else the other outcome."""
     if not _passes(mutant.test, copy, target):
         return "the test fails without the mutant"
     path = copy / mutant.file
     source = path.read_text(encoding="utf-8")
-    path.write_text(mutated(mutant, source), encoding="utf-8")
+    path.write_text(mutate(mutant, source), encoding="utf-8")
     try:
         if not _compiles(copy, target):
             return "does not compile"
@@ -56,29 +59,29 @@ def _ended(mutant: Mutant, copy: Path, target: Path) -> str:
         path.write_text(source, encoding="utf-8")
 
 
-def mutated(mutant: Mutant, source: str) -> str:
-    """Return a source with the rule broken.
+def mutate(mutant: Mutant, source: str) -> str:
+    """Return the source with the rule broken.
 
     Raises
     ------
     ValueError
-        If the text does not stand there exactly once.
+        If the text does not occur exactly once.
     """
     if source.count(mutant.text) != 1:
-        raise ValueError(f"{mutant.file} holds {source.count(mutant.text)} times: {mutant.text}")
+        raise ValueError(f"{mutant.file} contains {source.count(mutant.text)} times: {mutant.text}")
     return source.replace(mutant.text, mutant.replacement)
 
 
 def _compiles(copy: Path, target: Path) -> bool:
-    return _cargo(copy, target, "--no-run").returncode == 0
+    return _run_cargo(copy, target, "--no-run").returncode == 0
 
 
 def _passes(test: str, copy: Path, target: Path) -> bool:
-    ended = _cargo(copy, target, test)
+    ended = _run_cargo(copy, target, test)
     return ended.returncode == 0 and "1 passed" in ended.stdout
 
 
-def _cargo(copy: Path, target: Path, word: str) -> subprocess.CompletedProcess[str]:
+def _run_cargo(copy: Path, target: Path, word: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
         ["cargo", "test", "--locked", "--lib", "--tests", word],
         cwd=copy / "kernels",

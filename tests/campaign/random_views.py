@@ -1,4 +1,4 @@
-"""Random depth maps and the cameras that measured them: smooth, torn, noisy, with numbers that are none."""
+"""Random depth maps and their cameras: smooth, torn, noisy, with invalid depths."""
 
 from __future__ import annotations
 
@@ -10,20 +10,20 @@ from numpy.typing import NDArray
 
 Pinhole = tuple[float, float, float, float, int, int]
 
-# What files and sensors have been seen to hold, and what only a test would.
+# Values found in files and from sensors, and values that only a test would use.
 _ODD = (np.nan, np.inf, -np.inf, -1.0, 0.0, 1e-40, 1e-6, 3e19, 3.4e38)
 
 
 @dataclass(frozen=True, eq=False)
 class Shot:
-    """A depth map.
+    """Depth map with its camera.
 
     Attributes
     ----------
     pinhole : focal lengths, principal point, width and height, pixels.
-    pose : (4, 4), camera to the field's axes.
+    pose : (4, 4), camera to volume.
     depth : (h, w) float32, metres.
-    wanted : (h, w), pixels whose surface is to be in the field.
+    wanted : (h, w), pixels whose surface must be in the volume.
     color : (h, w, 3) uint8.
     """
 
@@ -33,15 +33,15 @@ class Shot:
     wanted: NDArray[np.bool_]
     color: NDArray[np.uint8]
 
-    def sights(self) -> NDArray[np.float64]:
-        """Return how far it is to each pixel (h, w) at a depth of one."""
+    def compute_ray_lengths(self) -> NDArray[np.float64]:
+        """Compute the distance of each pixel (h, w) at a depth of one."""
         fx, fy, cx, cy, width, height = self.pinhole
         v, u = np.mgrid[:height, :width]
         return np.asarray(np.sqrt(1 + ((u - cx) / fx) ** 2 + ((v - cy) / fy) ** 2))
 
 
-def random_shots(draw: random.Random, size: float) -> list[Shot]:
-    """Return some shots of one scene, `size` metres before their cameras."""
+def make_random_shots(draw: random.Random, size: float) -> list[Shot]:
+    """Make some shots of one scene, `size` metres in front of their cameras."""
     rng = np.random.default_rng(draw.randrange(2**32))
     width, height = (draw.choice((1, 7, 9, 31, 64, 64, 64, 65, 96)) for _ in range(2))
     focal = draw.uniform(0.5, 2.0) * max(width, height)
@@ -49,13 +49,13 @@ def random_shots(draw: random.Random, size: float) -> list[Shot]:
     pinhole = (focal, focal * draw.choice((1.0, 1.0, 0.3)), *center, width, height)
     kind = draw.choice(("plane", "ball", "steps", "noise"))
     turn = draw.choice((0.0, 0.0, 0.2, 3.0))
-    # Whole voxels or not, near the origin or so far that single precision notices.
+    # The origin is at integer voxels or not, or so far away that single precision matters.
     far = draw.choice((0.0, 0.0, 0.0, 10.0, 1e4)) * size
     count = draw.randrange(1, 5)
-    return [_shot(pinhole, kind, size, turn, far, draw, rng) for _ in range(count)]
+    return [_make_shot(pinhole, kind, size, turn, far, draw, rng) for _ in range(count)]
 
 
-def _shot(
+def _make_shot(
     pinhole: Pinhole,
     kind: str,
     size: float,
@@ -81,14 +81,14 @@ def _shot(
     odd = rng.random(v.shape) < draw.choice((0.0, 0.0, 0.01, 0.3))
     depth[odd] = rng.choice(np.array(_ODD, np.float32), int(odd.sum()))
     pose = np.eye(4)
-    pose[:3, :3] = _turned(rng.normal(size=3), turn * draw.random())
+    pose[:3, :3] = _rotate(rng.normal(size=3), turn * draw.random())
     pose[:3, 3] = far + rng.normal(0, 0.05 * size, 3)
     wanted = rng.random(v.shape) < draw.choice((1.0, 1.0, 0.7))
     return Shot(pinhole, pose, depth, wanted, rng.integers(0, 256, (height, width, 3)).astype(np.uint8))
 
 
-def _turned(axis: NDArray[np.float64], angle: float) -> NDArray[np.float64]:
-    """Rodrigues' rotation."""
+def _rotate(axis: NDArray[np.float64], angle: float) -> NDArray[np.float64]:
+    """Make a rotation matrix with Rodrigues' formula."""
     x, y, z = axis / np.linalg.norm(axis)
     cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
     return np.asarray(np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross)

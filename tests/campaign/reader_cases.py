@@ -1,4 +1,4 @@
-"""Cases for readers: a specimen, one or two of whose files are damaged."""
+"""Cases for readers: a specimen with damage to one or two of its files."""
 
 from __future__ import annotations
 
@@ -6,15 +6,15 @@ import random
 from pathlib import Path
 from typing import Any
 
-from tests.campaign.damage import damaged
+from tests.campaign.damage import damage_file
 from tests.campaign.specimens import SPECIMENS
 
-# Most pictures of a scan are like others, and hardly a reader of ours looks into them.
+# Images are damaged rarely, because most images of a scan are alike, and few readers decode them.
 _SELDOM = (".png", ".jpg")
 
 
-def reader_case(seed: int, specimens: Path) -> tuple[dict[str, Any], dict[str, bytes]]:
-    """Return what is read by what, and the files by name; `specimens` is where they were written."""
+def make_reader_case(seed: int, specimens: Path) -> tuple[dict[str, Any], dict[str, bytes]]:
+    """Make a case and its files by name, from the specimens in a folder."""
     draw = random.Random(seed)
     name = draw.choice(list(SPECIMENS))
     own = specimens / name
@@ -28,14 +28,14 @@ def reader_case(seed: int, specimens: Path) -> tuple[dict[str, Any], dict[str, b
         if len(names) < len(files) and draw.random() < 0.15:
             names = [n for n in files if n.endswith(_SELDOM)]
         hit = draw.choice(names)
-        files[hit] = damaged(files[hit], draw)
+        files[hit] = damage_file(files[hit], draw)
     specimen = SPECIMENS[name]
     case = {"kind": "readers", "seed": seed, "specimen": name, "reader": specimen.reader}
     return {**case, "target": specimen.target}, files
 
 
-def written(files: dict[str, bytes], folder: Path) -> None:
-    """Write the files of a case below a folder."""
+def write_files(files: dict[str, bytes], folder: Path) -> None:
+    """Write the files of a case into a folder."""
     for name, content in files.items():
         path = folder / name
         path.parent.mkdir(parents=True, exist_ok=True)

@@ -1,4 +1,4 @@
-"""Hand a file to its reader, and hold what comes back to what readers promise."""
+"""Pass a file to its reader, and check the promises of readers."""
 
 from __future__ import annotations
 
@@ -20,31 +20,31 @@ from scanloom.stages.surface.mesh_files import read_mesh
 from tests.pipeline import toy
 
 
-def _sound(mesh: Mesh) -> str:
-    """Say what a mesh is, all of whose numbers are as its class says."""
+def _describe_valid(mesh: Mesh) -> str:
+    """Check that a mesh is valid, and describe it."""
     validate_mesh(mesh)
     assert mesh.texture is None or np.isfinite(mesh.texture.uvs).all(), "a texture coordinate is not finite"
     return repr(mesh)
 
 
-def _mesh(path: Path) -> str:
+def _check_mesh(path: Path) -> str:
     mesh = read_mesh(path)
     for image in () if mesh.texture is None else mesh.texture.images:
         if image is not None:
             assert image.pixels.ndim == 3, "an image without channels"
-    return _sound(mesh)
+    return _describe_valid(mesh)
 
 
-def _normal_mesh(path: Path) -> str:
-    return "; ".join(_sound(level) for level in decode(path).levels)
+def _check_normal_mesh(path: Path) -> str:
+    return "; ".join(_describe_valid(level) for level in decode(path).levels)
 
 
-def _record(path: Path) -> str:
+def _check_record(path: Path) -> str:
     record = load_record(path)
-    return "; ".join(_sound(record.replay(ratio=ratio).mesh) for ratio in (1.0, 0.5, 0.2))
+    return "; ".join(_describe_valid(record.replay(ratio=ratio).mesh) for ratio in (1.0, 0.5, 0.2))
 
 
-def _scan(path: Path) -> str:
+def _check_scan(path: Path) -> str:
     scan = read_scan(path, complete=False)
     for frame in scan.frames:
         pose = frame.world_from_camera
@@ -52,22 +52,22 @@ def _scan(path: Path) -> str:
     return repr(inspect(scan))
 
 
-def _calibration(path: Path) -> str:
+def _check_calibration(path: Path) -> str:
     rig = read_rig(path, 32, 24)
     return f"{rig}"
 
 
-def _trajectory(path: Path) -> str:
+def _check_trajectory(path: Path) -> str:
     poses = [pose for pose in read_trajectory(path).poses if pose is not None]
     assert np.isfinite(poses).all(), "a pose is not finite"
     return f"{len(poses)} poses"
 
 
-def _config(path: Path) -> str:
+def _check_config(path: Path) -> str:
     return Config.load(path).dumps()
 
 
-def _cache(path: Path) -> str:
+def _check_cache(path: Path) -> str:
     cache = Cache(path / "out" / "cache")
     listed = [*cache.ls(), *cache.verify()]
     warnings: list[str] = []
@@ -76,12 +76,12 @@ def _cache(path: Path) -> str:
 
 
 READERS: dict[str, Callable[[Path], str]] = {
-    "mesh": _mesh,
-    "normal mesh": _normal_mesh,
-    "record": _record,
-    "scan": _scan,
-    "calibration": _calibration,
-    "trajectory": _trajectory,
-    "config": _config,
-    "cache": _cache,
+    "mesh": _check_mesh,
+    "normal mesh": _check_normal_mesh,
+    "record": _check_record,
+    "scan": _check_scan,
+    "calibration": _check_calibration,
+    "trajectory": _check_trajectory,
+    "config": _check_config,
+    "cache": _check_cache,
 }

@@ -1,6 +1,6 @@
-"""Whole runs that something happens to: they are killed, out of disk, or two at once in one folder.
+"""Disturbed runs: killed, with a full disk, or two at once in one folder.
 
-Whatever happened, the next run ends with the bytes of one that nothing happened to.
+Afterwards, the next run must give the bytes of an undisturbed run.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ import numpy as np
 
 from scanloom.stages.scans.layouts.scan_json import write_scan_json
 from scanloom.stages.scans.model.scan import Camera, Frame
-from tests.campaign.verdict import SKIPPED, Verdict, judged
+from tests.campaign.verdict import SKIPPED, Verdict, judge
 
 _CAMERA = Camera(64, 48, 55.0, 55.0, 31.5, 23.5)
-# The smallest of everything, so that a run takes little more than the imports.
+# Minimum settings, so that a run takes little longer than its imports.
 _SMALL = (
     "compare.samples=500",
     "report.viewpoints=1",
@@ -33,80 +33,80 @@ _SMALL = (
     "fuse.voxel_size=0.02",
     "simplify.ratio=0.3",
 )
-# Space in bricks, which are kept one by one; what comes out is the same to the byte.
+# Fusion in bricks, which are cached one by one; the result is byte-identical.
 _IN_BRICKS = ("--set", "fuse.brick_size=0.3")
-# No run of so small a scan takes so long, however busy the machine is.
+# Timeout, seconds: a run of this tiny scan is shorter even on a busy machine.
 _PATIENCE = 300
 
 
 @dataclass(frozen=True)
-class Bench:
-    """A scan, what an undisturbed run makes of it, and how long that took, seconds."""
+class UndisturbedRun:
+    """A scan, the results of an undisturbed run, and its duration in seconds."""
 
     scan: Path
     expected: dict[str, bytes]
     seconds: float
 
 
-def bench(folder: Path) -> Bench:
-    """Make the scan, and run it once with nothing in the way.
+def prepare_run(folder: Path) -> UndisturbedRun:
+    """Make the scan, and run it once undisturbed.
 
     Raises
     ------
     AssertionError
-        If even that run fails.
+        If this run fails.
     """
     scan = folder / "scan"
     scan.mkdir(parents=True)
     _write_scan(scan)
     started = time.monotonic()
-    code, said = _finished(_start(scan, folder / "whole"))
+    code, message = _finish(_start(scan, folder / "whole"))
     seconds = time.monotonic() - started
-    assert code == 0, said
-    return Bench(scan, _results(folder / "whole"), seconds)
+    assert code == 0, message
+    return UndisturbedRun(scan, _read_results(folder / "whole"), seconds)
 
 
-def run_case(seed: int, ready: Bench, folder: Path) -> Verdict:
+def run_case(seed: int, ready: UndisturbedRun, folder: Path) -> Verdict:
     """Run the case of a seed in an empty folder."""
     draw = random.Random(seed)
     name = draw.choice(("killed", *_CASES))
     verdict = _CASES[name](draw, ready, folder)
-    return Verdict(verdict.outcome, f"{name}: {verdict.said}")
+    return Verdict(verdict.outcome, f"{name}: {verdict.message}")
 
 
-def _killed(draw: random.Random, ready: Bench, folder: Path) -> Verdict:
+def _run_killed(draw: random.Random, ready: UndisturbedRun, folder: Path) -> Verdict:
     words = draw.choice(((), _IN_BRICKS))
 
-    def case() -> str:
+    def run() -> str:
         for _ in range(draw.choice((1, 1, 2, 3))):
             with _start(ready.scan, folder / "out", words=words) as process:
                 time.sleep(ready.seconds * draw.uniform(0.2, 1.0))
                 process.kill()
-        _assert_no_half(ready, folder / "out")
+        _assert_no_partial_files(ready, folder / "out")
         return _assert_recovers(ready, folder / "out", words)
 
-    return judged(case)
+    return judge(run)
 
 
-def _short_of_disk(draw: random.Random, ready: Bench, folder: Path) -> Verdict:
-    """No file can grow beyond a size: writes end half-way, as on a full disk."""
+def _run_short_of_disk(draw: random.Random, ready: UndisturbedRun, folder: Path) -> Verdict:
+    """Limit the size of files: writes fail half-way, as on a full disk."""
     most = draw.choice((0, 100, 3000, 10_000, 30_000, 100_000))
     words = draw.choice(((), _IN_BRICKS))
 
-    def case() -> str:
-        code, said = _finished(_start(ready.scan, folder / "out", lambda: _limit_files(most), words))
-        assert code in (0, 1, 3), f"exit code {code}: {said}"
-        assert "Traceback" not in said, said
-        assert "bug in scanloom" not in said, said
-        assert code == 0 or said.strip(), "it failed without a word"
-        _assert_no_half(ready, folder / "out")
+    def run() -> str:
+        code, message = _finish(_start(ready.scan, folder / "out", lambda: _limit_files(most), words))
+        assert code in (0, 1, 3), f"exit code {code}: {message}"
+        assert "Traceback" not in message, message
+        assert "bug in scanloom" not in message, message
+        assert code == 0 or message.strip(), "the run failed without a message"
+        _assert_no_partial_files(ready, folder / "out")
         return f"{most} bytes, exit code {code}, {_assert_recovers(ready, folder / 'out', words)}"
 
-    return judged(case)
+    return judge(run)
 
 
-def _full_disk(draw: random.Random, ready: Bench, folder: Path) -> Verdict:
-    """A disk of some kilobytes; where none can be mounted, that is said."""
+def _run_on_full_disk(draw: random.Random, ready: UndisturbedRun, folder: Path) -> Verdict:
+    """Run on a disk of some kilobytes; the case is skipped if none can be mounted."""
     disk = folder / "disk"
     disk.mkdir()
     size = draw.choice((16, 64, 200, 400))
@@ -116,72 +116,72 @@ def _full_disk(draw: random.Random, ready: Bench, folder: Path) -> Verdict:
         return Verdict(SKIPPED, "no disk can be mounted here")
     try:
 
-        def case() -> str:
-            code, said = _finished(_start(ready.scan, disk / "out"))
-            assert code in (0, 1, 3), f"exit code {code}: {said}"
-            assert "Traceback" not in said, said
-            assert "bug in scanloom" not in said, said
-            _assert_no_half(ready, disk / "out")
+        def run() -> str:
+            code, message = _finish(_start(ready.scan, disk / "out"))
+            assert code in (0, 1, 3), f"exit code {code}: {message}"
+            assert "Traceback" not in message, message
+            assert "bug in scanloom" not in message, message
+            _assert_no_partial_files(ready, disk / "out")
             shutil.move(disk / "out", folder / "out") if (disk / "out").exists() else None
             return f"{size} kB, exit code {code}, {_assert_recovers(ready, folder / 'out')}"
 
-        return judged(case)
+        return judge(run)
     finally:
         subprocess.run(["umount", str(disk)], check=False)
 
 
-def _two_at_once(draw: random.Random, ready: Bench, folder: Path) -> Verdict:
-    def case() -> str:
+def _run_two_at_once(draw: random.Random, ready: UndisturbedRun, folder: Path) -> Verdict:
+    def run() -> str:
         first = _start(ready.scan, folder / "out")
         time.sleep(ready.seconds * draw.uniform(0, 0.9))
         second = _start(ready.scan, folder / "out")
         if draw.random() < 0.3:
             time.sleep(ready.seconds * draw.uniform(0, 0.9))
             first.kill()
-        ends = [_finished(process) for process in (first, second)]
-        for code, said in ends:
-            assert code in (0, 3, -signal.SIGKILL), f"exit code {code}: {said}"
-            assert "Traceback" not in said, said
-            assert "bug in scanloom" not in said, said
+        ends = [_finish(process) for process in (first, second)]
+        for code, message in ends:
+            assert code in (0, 3, -signal.SIGKILL), f"exit code {code}: {message}"
+            assert "Traceback" not in message, message
+            assert "bug in scanloom" not in message, message
         return f"exit codes {[code for code, _ in ends]}, {_assert_recovers(ready, folder / 'out')}"
 
-    return judged(case)
+    return judge(run)
 
 
-def _read_only(draw: random.Random, ready: Bench, folder: Path) -> Verdict:
-    """Whoever may write everywhere does not meet this."""
+def _run_read_only(draw: random.Random, ready: UndisturbedRun, folder: Path) -> Verdict:
+    """Make a folder read-only; the case is skipped for the superuser."""
     if os.geteuid() == 0:
         return Verdict(SKIPPED, "the superuser may write to folders that are read-only")
 
-    def case() -> str:
+    def run() -> str:
         out = folder / "out"
-        code, said = _finished(_start(ready.scan, out))
-        assert code == 0, said
+        code, message = _finish(_start(ready.scan, out))
+        assert code == 0, message
         locked = draw.choice([path for path in (out, *out.rglob("*")) if path.is_dir()])
         locked.chmod(0o555)
         try:
-            code, said = _finished(_start(ready.scan, out, words=("--set", "simplify.ratio=0.2")))
+            code, message = _finish(_start(ready.scan, out, words=("--set", "simplify.ratio=0.2")))
         finally:
             locked.chmod(0o755)
-        assert code in (0, 1, 3), f"exit code {code}: {said}"
-        assert "Traceback" not in said, said
-        assert "bug in scanloom" not in said, said
+        assert code in (0, 1, 3), f"exit code {code}: {message}"
+        assert "Traceback" not in message, message
+        assert "bug in scanloom" not in message, message
         return f"{locked.name}, exit code {code}, {_assert_recovers(ready, out)}"
 
-    return judged(case)
+    return judge(run)
 
 
-_CASES: dict[str, Callable[[random.Random, Bench, Path], Verdict]] = {
-    "killed": _killed,
-    "short of disk": _short_of_disk,
-    "full disk": _full_disk,
-    "two at once": _two_at_once,
-    "read-only": _read_only,
+_CASES: dict[str, Callable[[random.Random, UndisturbedRun, Path], Verdict]] = {
+    "killed": _run_killed,
+    "short of disk": _run_short_of_disk,
+    "full disk": _run_on_full_disk,
+    "two at once": _run_two_at_once,
+    "read-only": _run_read_only,
 }
 
 
 def _write_scan(folder: Path) -> None:
-    """Two frames of hills, coloured."""
+    """Write two coloured frames of a wavy surface."""
     frames = []
     v, u = np.mgrid[0 : _CAMERA.height, 0 : _CAMERA.width]
     for number, x in enumerate((-0.02, 0.02)):
@@ -219,31 +219,31 @@ def _start(
     )
 
 
-def _finished(process: subprocess.Popen[str]) -> tuple[int, str]:
-    """Return the exit code and what was said on stderr."""
+def _finish(process: subprocess.Popen[str]) -> tuple[int, str]:
+    """Wait for the end; return the exit code and stderr."""
     try:
-        _, said = process.communicate(timeout=_PATIENCE)
+        _, message = process.communicate(timeout=_PATIENCE)
     except subprocess.TimeoutExpired:
         process.kill()
         process.communicate()
         raise AssertionError(f"a run took more than {_PATIENCE} s") from None
-    return process.returncode, said
+    return process.returncode, message
 
 
 def _limit_files(most: int) -> None:
     resource.setrlimit(resource.RLIMIT_FSIZE, (most, most))
 
 
-def _results(out: Path) -> dict[str, bytes]:
-    """Return the results by name; the cache is not among them, nor the report, which tells of seconds."""
+def _read_results(out: Path) -> dict[str, bytes]:
+    """Read the results by name, without the cache, and without the report, which contains times."""
     files = [path for path in out.rglob("*") if path.is_file() and out / "cache" not in path.parents]
     return {
         str(path.relative_to(out)): path.read_bytes() for path in files if not path.name.startswith("report.")
     }
 
 
-def _assert_no_half(ready: Bench, out: Path) -> None:
-    left = _results(out) if out.exists() else {}
+def _assert_no_partial_files(ready: UndisturbedRun, out: Path) -> None:
+    left = _read_results(out) if out.exists() else {}
     wrong = [
         name
         for name, content in left.items()
@@ -252,11 +252,11 @@ def _assert_no_half(ready: Bench, out: Path) -> None:
     assert not wrong, f"a half-written result: {wrong}"
 
 
-def _assert_recovers(ready: Bench, out: Path, words: tuple[str, ...] = ()) -> str:
-    """Run once more, undisturbed, and compare."""
-    code, said = _finished(_start(ready.scan, out, words=words))
-    assert code == 0, f"the next run ended with {code}: {said}"
-    found = _results(out)
+def _assert_recovers(ready: UndisturbedRun, out: Path, words: tuple[str, ...] = ()) -> str:
+    """Run again undisturbed, and compare the results."""
+    code, message = _finish(_start(ready.scan, out, words=words))
+    assert code == 0, f"the next run ended with {code}: {message}"
+    found = _read_results(out)
     assert found.keys() == ready.expected.keys(), f"other files: {found.keys() ^ ready.expected.keys()}"
     other = [name for name, content in found.items() if content != ready.expected[name]]
     assert not other, f"other bytes: {other}"

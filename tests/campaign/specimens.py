@@ -1,6 +1,6 @@
-"""Valid files of every kind that is read, small, and the reader of each: what damage starts from.
+"""Specimens: small valid files of every kind, and their readers; input of damage.
 
-Each is written into a folder of its own, the same bytes every time.
+Each specimen is written into a separate folder, always with the same bytes.
 """
 
 from __future__ import annotations
@@ -27,14 +27,14 @@ from tests.pipeline import toy
 
 @dataclass(frozen=True)
 class Specimen:
-    """What writes the files of a specimen into a folder, and which of them is handed to which reader."""
+    """Reader of a specimen, the file or folder it reads, and a function that writes the specimen."""
 
     reader: str
     target: str
     write: Callable[[Path], None]
 
 
-def _ascii_ply(folder: Path) -> None:
+def _write_ascii_ply(folder: Path) -> None:
     mesh = sheet(3)
     assert mesh.colors is not None
     head = (
@@ -51,7 +51,7 @@ def _ascii_ply(folder: Path) -> None:
     (folder / "mesh.ply").write_text(head + "".join(rows + faces))
 
 
-def _ascii_stl(folder: Path) -> None:
+def _write_ascii_stl(folder: Path) -> None:
     mesh = sheet(2)
     corners = mesh.vertices[mesh.triangles]
     facets = "".join(
@@ -63,7 +63,7 @@ def _ascii_stl(folder: Path) -> None:
     (folder / "mesh.stl").write_text(f"solid made\n{facets}endsolid made\n")
 
 
-def _polygons_obj(folder: Path) -> None:
+def _write_polygons_obj(folder: Path) -> None:
     (folder / "mesh.mtl").write_text("newmtl a\nKd 1 0.5 0\nmap_Kd -s 1 1 1 none.png\nnewmtl b\nd 0.5\n")
     (folder / "mesh.obj").write_text(
         "mtllib mesh.mtl\no one\nv 0 0 0 1 0 0\nv 1 0 0 0 1 0\nv 1 1 0\nv 0 1 0\nv 0.5 2 0\nvt 0 0\nvt 1 0\n"
@@ -72,36 +72,36 @@ def _polygons_obj(folder: Path) -> None:
     )
 
 
-def _textured_ply(folder: Path) -> None:
+def _write_textured_ply(folder: Path) -> None:
     write_ply(folder / "mesh.ply", wrapped_ball(4, 6))
 
 
-def _written(extension: str, mesh: Callable[[], Mesh]) -> Callable[[Path], None]:
+def _make_mesh_writer(extension: str, mesh: Callable[[], Mesh]) -> Callable[[Path], None]:
     return lambda folder: write_mesh(folder / f"mesh{extension}", mesh())
 
 
-def _normal_mesh(folder: Path) -> None:
+def _write_normal_mesh(folder: Path) -> None:
     remesh(sheet(12), levels=2, base_triangles=40, threads=1).save(folder / "mesh.snm")
 
 
-def _record(kind: str) -> Callable[[Path], None]:
+def _make_record_writer(kind: str) -> Callable[[Path], None]:
     return lambda folder: make_record(kind).save(folder / "light.npz")
 
 
-def _kept_results(folder: Path) -> None:
+def _write_cached_results(folder: Path) -> None:
     toy.run(toy.write_scan(folder / "scan"), folder / "out")
-    # Its frames are checked by no reader, and are written anew where they are needed.
+    # No reader checks these frames, and the reader writes them again.
     shutil.rmtree(folder / "scan")
 
 
-def _text(name: str, text: str) -> Callable[[Path], None]:
+def _make_text_writer(name: str, text: str) -> Callable[[Path], None]:
     def write(folder: Path) -> None:
         (folder / name).write_text(text)
 
     return write
 
 
-def _matrices(layout: str) -> str:
+def _format_poses(layout: str) -> str:
     turned = np.array([[0, 0, 1, 1], [0, 1, 0, 2], [-1, 0, 0, 3], [0, 0, 0, 1.0]])
     out = io.StringIO()
     for number, pose in enumerate((np.eye(4), turned, np.eye(4))):
@@ -149,47 +149,55 @@ _OPENCV_XML = (
 )
 
 SPECIMENS: dict[str, Specimen] = {
-    "binary PLY": Specimen("mesh", "mesh.ply", _written(".ply", lambda: sheet(3))),
-    "ASCII PLY": Specimen("mesh", "mesh.ply", _ascii_ply),
-    "textured PLY": Specimen("mesh", "mesh.ply", _textured_ply),
-    "OBJ": Specimen("mesh", "mesh.obj", _written(".obj", lambda: wrapped_ball(4, 6))),
-    "OBJ by hand": Specimen("mesh", "mesh.obj", _polygons_obj),
-    "OFF": Specimen("mesh", "mesh.off", _written(".off", lambda: sheet(3))),
-    "binary STL": Specimen("mesh", "mesh.stl", _written(".stl", lambda: sheet(3))),
-    "ASCII STL": Specimen("mesh", "mesh.stl", _ascii_stl),
-    "GLB": Specimen("mesh", "mesh.glb", _written(".glb", lambda: wrapped_ball(4, 6))),
-    "GLB with colours": Specimen("mesh", "mesh.glb", _written(".glb", lambda: sheet(3))),
-    "glTF": Specimen("mesh", "mesh.gltf", _written(".gltf", lambda: wrapped_ball(4, 6))),
-    "normal mesh": Specimen("normal mesh", "mesh.snm", _normal_mesh),
-    "record": Specimen("record", "light.npz", _record("vertices")),
-    "record of corners": Specimen("record", "light.npz", _record("wedges")),
-    "kept results": Specimen("cache", ".", _kept_results),
-    "config": Specimen("config", "my.toml", _text("my.toml", Config().dumps())),
+    "binary PLY": Specimen("mesh", "mesh.ply", _make_mesh_writer(".ply", lambda: sheet(3))),
+    "ASCII PLY": Specimen("mesh", "mesh.ply", _write_ascii_ply),
+    "textured PLY": Specimen("mesh", "mesh.ply", _write_textured_ply),
+    "OBJ": Specimen("mesh", "mesh.obj", _make_mesh_writer(".obj", lambda: wrapped_ball(4, 6))),
+    "OBJ by hand": Specimen("mesh", "mesh.obj", _write_polygons_obj),
+    "OFF": Specimen("mesh", "mesh.off", _make_mesh_writer(".off", lambda: sheet(3))),
+    "binary STL": Specimen("mesh", "mesh.stl", _make_mesh_writer(".stl", lambda: sheet(3))),
+    "ASCII STL": Specimen("mesh", "mesh.stl", _write_ascii_stl),
+    "GLB": Specimen("mesh", "mesh.glb", _make_mesh_writer(".glb", lambda: wrapped_ball(4, 6))),
+    "GLB with colours": Specimen("mesh", "mesh.glb", _make_mesh_writer(".glb", lambda: sheet(3))),
+    "glTF": Specimen("mesh", "mesh.gltf", _make_mesh_writer(".gltf", lambda: wrapped_ball(4, 6))),
+    "normal mesh": Specimen("normal mesh", "mesh.snm", _write_normal_mesh),
+    "record": Specimen("record", "light.npz", _make_record_writer("vertices")),
+    "record of corners": Specimen("record", "light.npz", _make_record_writer("wedges")),
+    "kept results": Specimen("cache", ".", _write_cached_results),
+    "config": Specimen("config", "my.toml", _make_text_writer("my.toml", Config().dumps())),
     "rig in TOML": Specimen(
         "calibration",
         "rig.toml",
-        _text(
+        _make_text_writer(
             "rig.toml",
             f"R = [[1, 0, 0], [0, 1, 0], [0, 0, 1]]\nT = [-0.1, 0, 0]\n[left]\n{_CAMERA}[right]\n{_CAMERA}",
         ),
     ),
-    "rig in YAML": Specimen("calibration", "rig.yaml", _text("rig.yaml", "%YAML:1.0\n---\n" + _OPENCV_YAML)),
-    "rig in XML": Specimen("calibration", "rig.xml", _text("rig.xml", _OPENCV_XML)),
-    "rig of Kalibr": Specimen("calibration", "rig.yaml", _text("rig.yaml", _KALIBR)),
-    "trajectory of TUM": Specimen(
-        "trajectory", "way.tum", _text("way.tum", "# t x y z\n1.0 0 0 0 0 0 0 1\n2.0 1 2 3 0 0.6 0 0.8\n")
+    "rig in YAML": Specimen(
+        "calibration", "rig.yaml", _make_text_writer("rig.yaml", "%YAML:1.0\n---\n" + _OPENCV_YAML)
     ),
-    "trajectory of Redwood": Specimen("trajectory", "way.log", _text("way.log", _matrices("log"))),
-    "trajectory of KITTI": Specimen("trajectory", "way.txt", _text("way.txt", _matrices("rows"))),
+    "rig in XML": Specimen("calibration", "rig.xml", _make_text_writer("rig.xml", _OPENCV_XML)),
+    "rig of Kalibr": Specimen("calibration", "rig.yaml", _make_text_writer("rig.yaml", _KALIBR)),
+    "trajectory of TUM": Specimen(
+        "trajectory",
+        "way.tum",
+        _make_text_writer("way.tum", "# t x y z\n1.0 0 0 0 0 0 0 1\n2.0 1 2 3 0 0.6 0 0.8\n"),
+    ),
+    "trajectory of Redwood": Specimen(
+        "trajectory", "way.log", _make_text_writer("way.log", _format_poses("log"))
+    ),
+    "trajectory of KITTI": Specimen(
+        "trajectory", "way.txt", _make_text_writer("way.txt", _format_poses("rows"))
+    ),
     "trajectory of EuRoC": Specimen(
         "trajectory",
         "way.csv",
-        _text("way.csv", "#t,x,y,z,w,x,y,z\n1000,0,0,0,1,0,0,0\n2000,1,2,3,0.8,0,0.6,0\n"),
+        _make_text_writer("way.csv", "#t,x,y,z,w,x,y,z\n1000,0,0,0,1,0,0,0\n2000,1,2,3,0.8,0,0.6,0\n"),
     ),
     "trajectory in JSON": Specimen(
         "trajectory",
         "way.json",
-        _text(
+        _make_text_writer(
             "way.json",
             '{"parameters": [{"extrinsic": [1,0,0,0,0,1,0,0,0,0,1,0,0,0,0,1]},'
             ' {"extrinsic": [1,0,0,0,0,1,0,0,0,0,1,0,1,2,3,1]}]}',
@@ -200,7 +208,7 @@ SPECIMENS: dict[str, Specimen] = {
 
 
 def write_all(folder: Path) -> None:
-    """Write every specimen into a folder of its name."""
+    """Write every specimen into a folder with its name."""
     for name, specimen in SPECIMENS.items():
         own = folder / name
         own.mkdir(parents=True)

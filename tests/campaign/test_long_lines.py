@@ -1,4 +1,4 @@
-"""No line of a text file keeps a reader busy: all patterns on foreign text take linear time."""
+"""Long lines in text files: all patterns on foreign text take linear time."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ from scanloom.stages.surface.mesh_files import read_mesh
 
 ROOT = Path(__file__).resolve().parents[2]
 _SIZE = 1 << 20
-# Processor seconds. A quadratic pattern takes minutes.
+# Processor time, seconds. A quadratic pattern takes minutes.
 _MAX_SECONDS = 8.0
 
-# A beginning, a run of it that fills a megabyte, and an end that lets a pattern fail.
+# A start, a repeated text that fills a megabyte, and an end that makes a pattern fail.
 LINES = {
     "blanks": ("a", " ", "!"),
     "line ends": ("a", "\n", "!"),
@@ -47,9 +47,9 @@ LINES = {
 }
 
 
-def line(kind: str) -> str:
+def make_line(kind: str) -> str:
     start, run, end = LINES[kind]
-    # A megabyte of empty lines is many lines, which takes long, but linear time.
+    # Empty lines are shorter, because a megabyte of lines takes long even in linear time.
     size = _SIZE >> 4 if run == "\n" else _SIZE
     return start + run * (size // len(run)) + end + "\n"
 
@@ -57,11 +57,11 @@ def line(kind: str) -> str:
 @pytest.fixture(params=LINES)
 def path(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
     file = tmp_path / "a.txt"
-    file.write_text(line(request.param))
+    file.write_text(make_line(request.param))
     return file
 
 
-def within_time(*readers: object) -> None:
+def assert_within_time(*readers: object) -> None:
     for read in readers:
         assert callable(read)
         started = time.process_time()
@@ -71,9 +71,9 @@ def within_time(*readers: object) -> None:
         assert taken < _MAX_SECONDS, f"{read} took {taken:.0f} s"
 
 
-def test_each_reader_of_lines(path: Path) -> None:
+def test_readers_of_lines_take_linear_time(path: Path) -> None:
     text = path.read_text(encoding="utf-8")
-    within_time(
+    assert_within_time(
         lambda: documents.parse_assignments(text, ":="),
         lambda: has_frame_headings(text),
         lambda: read_headed_text(path),
@@ -86,19 +86,19 @@ def test_each_reader_of_lines(path: Path) -> None:
     )
 
 
-def test_each_reader_of_documents(path: Path) -> None:
+def test_readers_of_documents_take_linear_time(path: Path) -> None:
     text = path.read_text(encoding="utf-8")
     half = text[: 1 << 18] + text[-20:]
     for suffix in (".yaml", ".toml", ".json", ".xml"):
         file = path.with_suffix(suffix)
         file.write_text(half if suffix == ".yaml" else text)
-        within_time(lambda file=file: documents.read_document(file))
+        assert_within_time(lambda file=file: documents.read_document(file))
     file = path.with_suffix(".yaml")
     file.write_text("%YAML:1.0\n" + half)
-    within_time(lambda: documents.read_document(file))
+    assert_within_time(lambda: documents.read_document(file))
 
 
-def test_each_reader_of_meshes(path: Path) -> None:
+def test_readers_of_meshes_take_linear_time(path: Path) -> None:
     text = path.read_text(encoding="utf-8")
     triangle = "v 0 0 0\nv 1 0 0\nv 0 1 0\nvt 0 0\nusemtl m\nf 1/1 2/1 3/1\n"
     for name, content in (
@@ -111,7 +111,7 @@ def test_each_reader_of_meshes(path: Path) -> None:
         (path.parent / name).write_text(content)
     (path.parent / "a.mtl").write_text(f"newmtl m\nmap_Kd {text}Kd {text}map_Bump -s {text}")
     for name in ("a.obj", "b.obj", "a.off", "a.stl", "a.ply"):
-        within_time(lambda name=name: read_mesh(path.parent / name))
+        assert_within_time(lambda name=name: read_mesh(path.parent / name))
 
 
 @pytest.mark.parametrize(
@@ -120,28 +120,32 @@ def test_each_reader_of_meshes(path: Path) -> None:
 @pytest.mark.parametrize(
     "kind", ["blanks", "line ends", "assignment of blanks", "projection of blanks", "box of blanks"]
 )
-def test_each_layout_with_patterns(
+def test_layouts_with_patterns_take_linear_time(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, scan: str, kind: str
 ) -> None:
     monkeypatch.syspath_prepend(str(ROOT))
     from tests.campaign.tiny_scans import SCANS
 
     SCANS[scan][1](tmp_path)
-    (tmp_path / "scene0000_00.txt").write_text(line(kind))
+    (tmp_path / "scene0000_00.txt").write_text(make_line(kind))
     for file in sorted(tmp_path.glob("*.txt")):
         whole = file.read_text()
-        file.write_text(f"{line(kind)}{whole}{line(kind)}")
-        within_time(lambda: read_scan(tmp_path, complete=False))
+        file.write_text(f"{make_line(kind)}{whole}{make_line(kind)}")
+        assert_within_time(lambda: read_scan(tmp_path, complete=False))
         file.write_text(whole)
-    within_time(lambda: apply_axis_alignment(read_scan(tmp_path, ScanParams(), complete=False), tmp_path))
+    assert_within_time(
+        lambda: apply_axis_alignment(read_scan(tmp_path, ScanParams(), complete=False), tmp_path)
+    )
 
 
 @pytest.mark.slow
-def test_long_runs_at_any_place_of_a_text_file(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_long_lines_anywhere_in_a_text_file_take_linear_time(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
     monkeypatch.syspath_prepend(str(ROOT))
     from tests.campaign.reading import READERS
     from tests.campaign.specimens import SPECIMENS
-    from tests.campaign.text_damage import line_lengthened
+    from tests.campaign.text_damage import lengthen_line
 
     draw = random.Random(11)
     for name, specimen in SPECIMENS.items():
@@ -153,7 +157,7 @@ def test_long_runs_at_any_place_of_a_text_file(monkeypatch: pytest.MonkeyPatch, 
         for file in sorted(folder.rglob("*")):
             content = file.read_bytes() if file.is_file() else b"\0"
             for _ in range(0 if b"\0" in content else 6):
-                file.write_text(line_lengthened(content.decode(), draw))
-                within_time(lambda s=specimen, f=folder: READERS[s.reader](f / s.target))
+                file.write_text(lengthen_line(content.decode(), draw))
+                assert_within_time(lambda s=specimen, f=folder: READERS[s.reader](f / s.target))
             if file.is_file():
                 file.write_bytes(content)

@@ -1,4 +1,4 @@
-"""The table of mutants fits the sources: each text is there once, and so is the test that must notice."""
+"""The table of mutants matches the sources: each text occurs once, and each Rust test exists."""
 
 from __future__ import annotations
 
@@ -10,20 +10,20 @@ import pytest
 ROOT = Path(__file__).resolve().parents[2]
 
 
-def names() -> list[str]:
+def list_mutant_names() -> list[str]:
     table = (Path(__file__).with_name("mutant_table.py")).read_text(encoding="utf-8")
     return re.findall(r'^    "([\w-]+)": Mutant\($', table, re.MULTILINE)
 
 
-@pytest.mark.parametrize("name", names())
-def test_every_mutant_finds_its_place_and_its_test(monkeypatch: pytest.MonkeyPatch, name: str) -> None:
+@pytest.mark.parametrize("name", list_mutant_names())
+def test_every_mutant_finds_its_text_and_its_test(monkeypatch: pytest.MonkeyPatch, name: str) -> None:
     monkeypatch.syspath_prepend(str(ROOT))
     from tests.campaign.mutant_table import MUTANTS
-    from tests.campaign.mutants import mutated
+    from tests.campaign.mutants import mutate
 
     mutant = MUTANTS[name]
     source = (ROOT / mutant.file).read_text(encoding="utf-8")
-    assert mutated(mutant, source) != source
+    assert mutate(mutant, source) != source
     rust = [
         path.read_text(encoding="utf-8")
         for path in (ROOT / "kernels").rglob("*.rs")

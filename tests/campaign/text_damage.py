@@ -1,4 +1,4 @@
-"""Damage to text: numbers that are extreme or none, lines and words that are doubled, moved or left out."""
+"""Damage to text: extreme or invalid numbers; repeated, moved or removed lines and words."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import random
 import re
 from collections.abc import Callable
 
-# Each stands for a trap: overflows, values that are not finite, digits beyond what Python converts.
+# Each word is a trap: overflow, non-finite values, or more digits than Python converts.
 WORDS = (
     "0",
     "-0",
@@ -41,7 +41,7 @@ WORDS = (
     "../../../etc/none",
     "a" * 300,
 )
-# Repeated to a long line, each keeps a pattern busy that may match its parts in several ways.
+# Repeated in a long line, each text can be matched in several ways by some pattern.
 RUNS = (
     *(
         " ",
@@ -84,16 +84,16 @@ _NUMBER = re.compile(r"-?\d+(?:\.\d+)?(?:[eE][-+]?\d+)?")
 _WORD = re.compile(r"[^\s,;:{}\[\]()=]+")
 
 
-def number_replaced(text: str, draw: random.Random) -> str:
-    return _replaced(_NUMBER, text, draw)
+def replace_number(text: str, draw: random.Random) -> str:
+    return _replace_match(_NUMBER, text, draw)
 
 
-def word_replaced(text: str, draw: random.Random) -> str:
-    return _replaced(_WORD, text, draw)
+def replace_word(text: str, draw: random.Random) -> str:
+    return _replace_match(_WORD, text, draw)
 
 
-def lines_moved(text: str, draw: random.Random) -> str:
-    """Double, repeat, remove or exchange lines."""
+def move_lines(text: str, draw: random.Random) -> str:
+    """Repeat, remove or swap lines."""
     lines = text.splitlines(keepends=True) or ["\n"]
     a, b = draw.randrange(len(lines)), draw.randrange(len(lines))
     match draw.randrange(5):
@@ -110,30 +110,30 @@ def lines_moved(text: str, draw: random.Random) -> str:
     return "".join(lines)
 
 
-def line_inserted(text: str, draw: random.Random) -> str:
+def insert_line(text: str, draw: random.Random) -> str:
     lines = text.splitlines(keepends=True)
     made = " ".join(draw.choice(WORDS) for _ in range(draw.choice((1, 3, 8))))
     lines.insert(draw.randint(0, len(lines)), made + "\n")
     return "".join(lines)
 
 
-def ends_changed(text: str, draw: random.Random) -> str:
-    """Change line ends or lead with a mark of byte order: what other programs and systems write."""
+def change_line_ends(text: str, draw: random.Random) -> str:
+    """Change line ends or spaces, or insert a byte order mark, as other programs and systems do."""
     return draw.choice(
         (text.replace("\n", "\r\n"), text.replace("\n", "\r"), "\ufeff" + text, text.replace(" ", "\t"))
     )
 
 
-def opened_deep(text: str, draw: random.Random) -> str:
-    """Open brackets that nobody closes, or all of them."""
+def insert_brackets(text: str, draw: random.Random) -> str:
+    """Insert nested brackets, closed or not."""
     opening, closing = draw.choice((("[", "]"), ("{", "}"), ("(", ")"), ("- ", "")))
     depth = draw.choice((70, 2000, 100_000))
     at = draw.randint(0, len(text))
     return text[:at] + opening * depth + draw.choice(("", closing * depth)) + text[at:]
 
 
-def line_lengthened(text: str, draw: random.Random, length: int = 1 << 18) -> str:
-    """Insert a long run of one character or word behind a word."""
+def lengthen_line(text: str, draw: random.Random, length: int = 1 << 18) -> str:
+    """Insert a long run of one character or word after a word."""
     run = draw.choice(RUNS)
     ends = [found.end() for found in _WORD.finditer(text)] or [0]
     at = draw.choice(ends)
@@ -143,29 +143,29 @@ def line_lengthened(text: str, draw: random.Random, length: int = 1 << 18) -> st
 
 
 _ALL: tuple[Callable[[str, random.Random], str], ...] = (
-    number_replaced,
-    number_replaced,
-    number_replaced,
-    word_replaced,
-    lines_moved,
-    lines_moved,
-    line_inserted,
-    ends_changed,
-    opened_deep,
-    line_lengthened,
+    replace_number,
+    replace_number,
+    replace_number,
+    replace_word,
+    move_lines,
+    move_lines,
+    insert_line,
+    change_line_ends,
+    insert_brackets,
+    lengthen_line,
 )
 
 
-def damaged_text(data: bytes, draw: random.Random) -> bytes:
-    """Return a text file's content with one damage of any of these kinds."""
+def damage_text(data: bytes, draw: random.Random) -> bytes:
+    """Apply one random damage to a text file."""
     text = data.decode("utf-8", "surrogateescape")
     return draw.choice(_ALL)(text, draw).encode("utf-8", "surrogateescape")
 
 
-def _replaced(pattern: re.Pattern[str], text: str, draw: random.Random) -> str:
+def _replace_match(pattern: re.Pattern[str], text: str, draw: random.Random) -> str:
     found = list(pattern.finditer(text))
     if not found:
         return text + draw.choice(WORDS)
-    # Counts and versions stand first; without this, long lists of coordinates would be hit alone.
+    # Counts and versions are at the start; without this, lists of coordinates would get most damage.
     one = draw.choice(found[:12] if draw.random() < 0.4 else found)
     return text[: one.start()] + draw.choice(WORDS) + text[one.end() :]

@@ -1,4 +1,4 @@
-"""What a case came to: accepted, refused with a sentence, or a failure, and what tells these apart."""
+"""Verdict of a case: accepted, refused with an error message, or failed."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ ACCEPTED, REFUSED, FAILED, SKIPPED = "accepted", "refused", "failed", "skipped"
 
 @dataclass(frozen=True)
 class Verdict:
-    """How a case ended, one of the four words above, and what was said."""
+    """Outcome of a case, one of the four words above, and its message."""
 
     outcome: str
-    said: str = ""
+    message: str = ""
 
     def to_dict(self) -> dict[str, Any]:
         return asdict(self)
 
 
-def judged(case: Callable[[], str]) -> Verdict:
-    """Run a case. Scanloom's own errors refuse it; any other, and a broken rule, is a failure."""
+def judge(case: Callable[[], str]) -> Verdict:
+    """Run a case. Errors of scanloom refuse it; any other error, and a broken rule, is a failure."""
     try:
         return Verdict(ACCEPTED, case())
     except ScanloomError as error:
@@ -36,10 +36,10 @@ def judged(case: Callable[[], str]) -> Verdict:
         failure = explain_failure(error)
         if failure.exit_code == BAD_INPUT:
             return Verdict(REFUSED, failure.sentence)
-        return Verdict(FAILED, _told(error))
+        return Verdict(FAILED, _format_error(error))
     except BaseException as error:
-        return Verdict(FAILED, _told(error))
+        return Verdict(FAILED, _format_error(error))
 
 
-def _told(error: BaseException) -> str:
+def _format_error(error: BaseException) -> str:
     return "".join(traceback.format_exception(error))[-3000:]

@@ -1,4 +1,4 @@
-"""A scan small enough to run whole within a second or two, and a mesh."""
+"""Fixtures of the command tests: a scan that runs in two seconds, a mesh, and the command line."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ CAMERA = Camera(width=96, height=72, fx=80.0, fy=80.0, cx=47.5, cy=35.5)
 WALL, CENTRE, RADIUS = 1.2, np.array([0.0, 0.0, 1.0]), 0.25
 
 
-def ball_before_a_wall(x: float) -> np.ndarray:
-    """Depth map in metres, of a camera at (x, 0, 0) that looks along z."""
+def render_depth(x: float) -> np.ndarray:
+    """Render the depth map of the ball and the wall, metres, from a camera at (x, 0, 0) along +z."""
     u, v = np.meshgrid(np.arange(CAMERA.width), np.arange(CAMERA.height))
     rays = np.stack([(u - CAMERA.cx) / CAMERA.fx, (v - CAMERA.cy) / CAMERA.fy, np.ones(u.shape)], -1)
     origin = np.array([x, 0.0, 0.0]) - CENTRE
@@ -37,11 +37,11 @@ def ball_before_a_wall(x: float) -> np.ndarray:
 
 @pytest.fixture(scope="session")
 def tiny_scan(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Six RGB-D frames of a ball before a wall, in the plain layout."""
+    """Write six RGB-D frames of a ball in front of a wall, in the plain layout."""
     folder = tmp_path_factory.mktemp("tiny_scan")
     frames = []
     for i, x in enumerate(np.linspace(-0.1, 0.1, 6)):
-        depth = np.rint(ball_before_a_wall(x) * 1000).astype(np.uint16)
+        depth = np.rint(render_depth(x) * 1000).astype(np.uint16)
         color = np.where((depth < 1200)[..., None], (40, 80, 200), (180, 180, 160)).astype(np.uint8)
         files = {kind: folder / f"{kind}-{i}.png" for kind in ("color", "depth")}
         cv2.imwrite(str(files["depth"]), depth)
@@ -55,7 +55,7 @@ def tiny_scan(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="session")
 def made_ball(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """PLY file of a coloured ball of 1 m radius: 1,280 triangles, and one far speck."""
+    """Write a coloured ball of 1 m radius as PLY: 1,280 triangles, and one distant speck."""
     import trimesh
 
     mesh = trimesh.creation.icosphere(subdivisions=3)
@@ -69,7 +69,7 @@ def made_ball(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="session")
 def made_clean_ball(made_ball: Path) -> Path:
-    """The ball as `scanloom clean` leaves it."""
+    """Clean the ball with `scanloom clean`."""
     path = made_ball.with_name("clean.ply")
     assert run_command(["clean", str(made_ball), str(path)]) == 0
     return path
@@ -77,19 +77,19 @@ def made_clean_ball(made_ball: Path) -> Path:
 
 @pytest.fixture
 def ball(made_ball: Path, tmp_path: Path) -> Path:
-    """The test's own copy of the ball."""
+    """Copy the ball for one test."""
     return Path(shutil.copy(made_ball, tmp_path))
 
 
 @pytest.fixture
 def clean_ball(made_clean_ball: Path, ball: Path) -> Path:
-    """The test's own copy of the clean ball, beside the ball."""
+    """Copy the clean ball for one test, next to the ball."""
     return Path(shutil.copy(made_clean_ball, ball.parent))
 
 
 @dataclass(frozen=True)
-class Ran:
-    """What a command line did."""
+class CommandResult:
+    """Exit code and output of a command line."""
 
     exit_code: int
     stdout: str
@@ -101,27 +101,29 @@ class Ran:
 
     @property
     def warnings(self) -> list[str]:
-        return self._told("warning")
+        return self._list_messages("warning")
 
     @property
     def unmet(self) -> list[str]:
-        return self._told("unmet")
+        return self._list_messages("unmet")
 
-    def _told(self, severity: str) -> list[str]:
+    def _list_messages(self, severity: str) -> list[str]:
         found = [one for one in self.json["diagnostics"] if one["severity"] == severity]
         return [str(Diagnostic.from_dict(one)) for one in found]
 
 
 @pytest.fixture
-def scanloom(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> Callable[..., Ran]:
-    """Run a command line in this process, as the installed command does."""
+def scanloom(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> Callable[..., CommandResult]:
+    """Run command lines in this process, with the exit code of the installed command."""
     monkeypatch.setenv("NO_COLOR", "1")
     monkeypatch.setenv("COLUMNS", "200")
 
-    def run(*words: object) -> Ran:
+    def run(*words: object) -> CommandResult:
         capsys.readouterr()
         code = run_command([str(word) for word in words])
         captured = capsys.readouterr()
-        return Ran(code, captured.out, captured.err)
+        return CommandResult(code, captured.out, captured.err)
 
     return run

@@ -1,4 +1,4 @@
-"""The command `adjust`: what it writes, what it says, and what it refuses."""
+"""Command `adjust`: written files, messages and refused input."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ SAMPLES = Path(__file__).parents[2] / "samples"
 
 
 @pytest.mark.slow
-def test_better_poses_are_written_and_used_by_fuse(scanloom: Run, tmp_path: Path) -> None:
+def test_fuse_uses_the_poses_written_by_adjust(scanloom: Run, tmp_path: Path) -> None:
     scan = tmp_path / "scan"
     shutil.copytree(SAMPLES / "rgbd", scan)
     listed = json.loads((scan / "scan.json").read_text())
@@ -45,14 +45,14 @@ def test_better_poses_are_written_and_used_by_fuse(scanloom: Run, tmp_path: Path
     fused = scanloom("fuse", scan, tmp_path / "fused.ply", *poses, "--voxel-size", 0.03, "--json")
     assert fused.exit_code == 0, fused.stderr
 
-    # The same with all that was found; of this scan nothing more is to be gained.
+    # Poses and cameras of the first run leave nothing to improve.
     found = ("--set", f"scan.adjusted_cameras={tmp_path}/better/cameras.json")
     again = scanloom("adjust", scan, tmp_path / "again", *found, "--json")
     assert not again.json["accepted"]
     assert again.json["transfer_before"]["median_px"] < 0.5
 
 
-def test_a_colour_camera_that_was_found_is_given_to_other_commands(tmp_path: Path) -> None:
+def test_an_adjusted_colour_camera_is_read_from_cameras_json(tmp_path: Path) -> None:
     names = [f"{place:04d}" for place in range(24)]
     camera = asdict(Camera(320, 240, 300.0, 300.0, 160.0, 120.0, (0.01, 0, 0, 0)))
     beside = np.eye(4)
@@ -75,7 +75,7 @@ def test_a_colour_camera_that_was_found_is_given_to_other_commands(tmp_path: Pat
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "message"),
     [
         ({"accepted": None}, "a cameras.json of `scanloom adjust` is expected"),
         ({"names": {}}, "the names of its frames are missing"),
@@ -87,16 +87,16 @@ def test_a_colour_camera_that_was_found_is_given_to_other_commands(tmp_path: Pat
         ({"names": {"3": "another"}}, "it belongs to another scan"),
     ],
 )
-def test_a_damaged_file_of_cameras_is_told(tmp_path: Path, change: dict[str, Any], said: str) -> None:
+def test_a_damaged_cameras_json_is_reported(tmp_path: Path, change: dict[str, Any], message: str) -> None:
     document = {"accepted": True, "color_camera": None, "color_from_depth": None}
     document |= {"names": {"3": "0003"}, "poses": {"3": np.eye(4).tolist()}} | change
     path = tmp_path / "cameras.json"
     path.write_text(json.dumps(document))
-    with pytest.raises(InputError, match=said):
+    with pytest.raises(InputError, match=message):
         read_scan(SAMPLES / "rgbd", ScanParams(adjusted_cameras=str(path)))
 
 
-def test_exact_poses_are_said_to_be(scanloom: Run, tmp_path: Path) -> None:
+def test_exact_poses_are_reported_and_left_as_given(scanloom: Run, tmp_path: Path) -> None:
     ran = scanloom("adjust", SAMPLES / "rgbd", tmp_path / "better")
     assert ran.exit_code == 0, ran.stderr
     assert "left as given: colour, depth and poses agree to 0." in ran.stdout
@@ -112,7 +112,7 @@ def test_a_damaged_depth_calibration_is_one_error(scanloom: Run, tmp_path: Path)
     assert "Traceback" not in ran.stderr
 
 
-def test_pairs_are_refused_with_the_way(scanloom: Run, tmp_path: Path) -> None:
+def test_stereo_pairs_are_refused_with_a_remedy(scanloom: Run, tmp_path: Path) -> None:
     ran = scanloom("adjust", SAMPLES / "stereo", tmp_path / "better")
     assert ran.exit_code == 3
     assert "scanloom depth" in ran.stderr

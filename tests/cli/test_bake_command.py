@@ -1,4 +1,4 @@
-"""bake and simplify --bake on files: the image, the figures, and what bad input is told."""
+"""Commands `bake` and `simplify --bake`: image, metrics, and messages about bad input."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Run = Callable[..., Any]
 
 @pytest.mark.slow
 @pytest.mark.parametrize("suffix", [".glb", ".obj", ".ply"])
-def test_simplify_can_bake_into_each_format_that_holds_an_image(
+def test_simplify_bakes_into_each_format_with_images(
     scanloom: Run, clean_ball: Path, tmp_path: Path, suffix: str
 ) -> None:
     target = tmp_path / f"light{suffix}"
@@ -27,7 +27,7 @@ def test_simplify_can_bake_into_each_format_that_holds_an_image(
     assert light.colors is None
     (image,) = light.texture.images
     assert ran.json["baked"]["images"] == [list(image.pixels.shape[:2])]
-    # As measured from the file, what was baked is nearer to the original than colours of vertices.
+    # The baked image is closer to the original than vertex colours, also when measured from the file.
     metrics = scanloom("compare", clean_ball, target, "--set", "compare.samples=20000", "--json").json
     baked = ran.json["baked"]
     assert metrics["color"]["a_to_b"]["rmse_levels"] == pytest.approx(baked["color"]["rmse_levels"], rel=0.1)
@@ -35,7 +35,7 @@ def test_simplify_can_bake_into_each_format_that_holds_an_image(
 
 
 @pytest.mark.slow
-def test_bake_takes_two_files(scanloom: Run, clean_ball: Path, tmp_path: Path) -> None:
+def test_bake_takes_a_simplified_and_a_detailed_mesh(scanloom: Run, clean_ball: Path, tmp_path: Path) -> None:
     light, target = tmp_path / "light.ply", tmp_path / "new" / "light.glb"
     assert scanloom("simplify", clean_ball, light, "--ratio", 0.1).exit_code == 0
     ran = scanloom("mesh", "bake", light, clean_ball, target, "--set", "bake.max_size=64")
@@ -45,7 +45,7 @@ def test_bake_takes_two_files(scanloom: Run, clean_ball: Path, tmp_path: Path) -
 
 
 @pytest.mark.parametrize(
-    ("words", "code", "said"),
+    ("words", "code", "message"),
     [
         (("mesh", "bake", "{ball}", "{ball}", "out.stl"), 2, "unknown file extension"),
         (
@@ -57,17 +57,17 @@ def test_bake_takes_two_files(scanloom: Run, clean_ball: Path, tmp_path: Path) -
         (("mesh", "bake", "{ball}", "absent.ply", "out.glb"), 3, "there is no such file"),
     ],
 )
-def test_what_is_wrong_is_said_in_one_sentence(
+def test_bad_input_is_reported_and_nothing_is_written(
     scanloom: Run,
     ball: Path,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     words: tuple[str, ...],
     code: int,
-    said: str,
+    message: str,
 ) -> None:
     monkeypatch.chdir(tmp_path)
     ran = scanloom(*(word.format(ball=ball) for word in words))
     assert ran.exit_code == code
-    assert said in ran.stderr
+    assert message in ran.stderr
     assert not list(tmp_path.glob("out.*"))

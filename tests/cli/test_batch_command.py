@@ -1,4 +1,4 @@
-"""batch and worker: what is found, run, told and written, and what the shell gets."""
+"""Commands `batch` and `worker`: discovery, messages, written files and exit codes."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ QUICK = ("--until", "adjust", "--jobs", 1, "--set", "worker.threads=1")
 
 @pytest.fixture
 def scans(tmp_path: Path) -> Path:
-    """Two scans, one that cannot be read, and a folder that is none."""
+    """Write two scans, one unreadable scan, and a folder that is not a scan."""
     folder = write_small_scans(tmp_path / "scans", 2)
     write_small_scan(folder / "more" / "broken", 7)
     (folder / "more" / "broken" / "scan.json").write_text("{")
@@ -40,7 +40,7 @@ def scans(tmp_path: Path) -> Path:
 
 
 @pytest.mark.slow
-def test_a_batch_tells_and_writes_what_became_of_every_scan(scanloom: Run, scans: Path, tmp_path: Path):
+def test_batch_reports_the_state_of_every_scan(scanloom: Run, scans: Path, tmp_path: Path):
     out = tmp_path / "out"
     ran = scanloom("batch", scans, "-o", out, *QUICK)
     assert ran.exit_code == 1
@@ -53,7 +53,7 @@ def test_a_batch_tells_and_writes_what_became_of_every_scan(scanloom: Run, scans
     for name in ("index.html", "batch.csv", "scan-0000/report.json", "cache/adjust"):
         assert (out / name).exists()
 
-    # A second one does only what has changed, and tells programs the same.
+    # The second batch only processes changed scans, and reports them in JSON.
     (scans / "more" / "broken").rename(tmp_path / "away")
     again = scanloom("batch", scans, "-o", out, *QUICK, "--json")
     assert again.exit_code == 0
@@ -64,7 +64,7 @@ def test_a_batch_tells_and_writes_what_became_of_every_scan(scanloom: Run, scans
 
 
 @pytest.mark.slow
-def test_warnings_are_told_with_the_scan_they_are_of(scanloom: Run, scans: Path, tmp_path: Path):
+def test_a_warning_names_its_scan(scanloom: Run, scans: Path, tmp_path: Path):
     frame = scans / "scan-0001" / "depth-1.png"
     frame.write_bytes(frame.read_bytes()[:80])
     words = ("batch", scans, "-o", tmp_path / "out", "--include", "scan-*", "--until", "fuse", "--jobs", 1)
@@ -78,14 +78,14 @@ def test_warnings_are_told_with_the_scan_they_are_of(scanloom: Run, scans: Path,
 
 
 @pytest.mark.slow
-def test_where_no_scan_can_be_used_the_code_is_that_of_bad_input(scanloom: Run, scans: Path, tmp_path: Path):
+def test_batch_exits_with_3_if_no_scan_is_usable(scanloom: Run, scans: Path, tmp_path: Path):
     ran = scanloom("batch", scans / "more", "-o", tmp_path / "out", *QUICK, "--json")
     assert ran.exit_code == 3
     assert ran.json["counts"] == {"unusable": 1}
     assert ran.unmet == ["1 of 1 scans are not done: 1 unusable; the table has the reasons."]
 
 
-def test_a_dry_run_foresees_each_scan_and_writes_nothing(scanloom: Run, scans: Path, tmp_path: Path):
+def test_a_dry_run_plans_each_scan_and_writes_nothing(scanloom: Run, scans: Path, tmp_path: Path):
     before = sorted(tmp_path.rglob("*"))
     ran = scanloom("batch", scans, "-o", tmp_path / "out", "--dry-run", "--json")
     assert sorted(tmp_path.rglob("*")) == before
@@ -100,7 +100,7 @@ def test_a_dry_run_foresees_each_scan_and_writes_nothing(scanloom: Run, scans: P
 
 
 @pytest.mark.slow
-def test_a_queue_is_worked_on_by_whoever_comes(
+def test_any_worker_processes_a_queue(
     scanloom: Run, scans: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
     out = tmp_path / "out"
@@ -116,7 +116,7 @@ def test_a_queue_is_worked_on_by_whoever_comes(
     # Scans and results may be moved together.
     shutil.move(scans, tmp_path / "elsewhere" / "scans")
     shutil.move(out, tmp_path / "elsewhere" / "out")
-    # As many at a time as are expected to fit, of which none says more than all that there is.
+    # The number of concurrent jobs follows from their expected memory, within the total limit.
     monkeypatch.chdir(tmp_path / "elsewhere")
     worked = scanloom("worker", "out", "--set", "limits.memory=1 GB", "--set", "worker.worker_timeout=30")
     assert worked.exit_code == 1
@@ -126,19 +126,19 @@ def test_a_queue_is_worked_on_by_whoever_comes(
     assert (tmp_path / "elsewhere" / "out" / "index.html").is_file()
 
 
-def test_an_unfinished_batch_goes_on_where_it_was(scanloom: Run, scans: Path, tmp_path: Path):
+def test_an_unfinished_batch_is_resumed(scanloom: Run, scans: Path, tmp_path: Path):
     words = ("batch", scans, "-o", tmp_path / "out", "--queue-only", "--until", "adjust")
     assert scanloom(*words).exit_code == 0
     first = read_current_queue(tmp_path / "out")
     again = scanloom(*words)
     assert "an unfinished batch of the same scans is resumed" in again.stderr
     assert read_current_queue(tmp_path / "out") == first
-    # Nobody is at it, and other words are another batch.
+    # No worker is running, and other options make another batch.
     assert scanloom(*words[:-1], "fuse").exit_code == 0
     assert read_current_queue(tmp_path / "out") != first
 
 
-def test_an_unfinished_batch_tries_again_what_failed(scanloom: Run, scans: Path, tmp_path: Path):
+def test_a_resumed_batch_repeats_failed_scans(scanloom: Run, scans: Path, tmp_path: Path):
     words = ("batch", scans, "-o", tmp_path / "out", "--queue-only", "--until", "adjust")
     assert scanloom(*words).exit_code == 0
     queue = read_current_queue(tmp_path / "out")
@@ -149,12 +149,13 @@ def test_an_unfinished_batch_tries_again_what_failed(scanloom: Run, scans: Path,
         records.write(JobRecord(number, "x", state, "the disk was full"))
     assert "1 scan that failed: run again" in scanloom(*words).stderr
     assert read_current_queue(tmp_path / "out") == queue
-    # Whoever comes takes it, though nobody knows what became of the worker.
+    # The claim is released, so that any worker may take the scan although the first worker's state is
+    # unknown.
     assert list(records.list_ended()) == [0]
     assert claims.read_claim(Claim(1, 0)).end == RELEASED
 
 
-def test_two_batches_in_one_folder_do_not_meet(
+def test_a_second_batch_in_the_same_folder_is_refused(
     scanloom: Run, scans: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
     monkeypatch.setattr(open_batch, "_WATCH_SECONDS", 1.0)
@@ -164,19 +165,19 @@ def test_two_batches_in_one_folder_do_not_meet(
     assert queue is not None
     alive, stop = queue.folder / "workers" / "other.alive", threading.Event()
     alive.write_text("000000000000 beats, one each 00002.000 s\n")
-    # One that was killed is watched for a while, and then none is there.
+    # The heartbeat file of a killed worker does not change, so the folder counts as free after a while.
     assert scanloom(*words, "fuse").exit_code == 0
     queue = read_current_queue(tmp_path / "out")
     assert queue is not None
     alive = queue.folder / "workers" / "other.alive"
 
-    def beat() -> None:
+    def write_heartbeats() -> None:
         count = 0
         while not stop.wait(0.02):
             count += 1
             alive.write_text(f"{count:012d} beats, one each 00002.000 s\n")
 
-    other = threading.Thread(target=beat)
+    other = threading.Thread(target=write_heartbeats)
     other.start()
     time.sleep(0.1)
     refused = scanloom(*words, "clean")
@@ -188,7 +189,7 @@ def test_two_batches_in_one_folder_do_not_meet(
 
 
 @pytest.mark.slow
-def test_ctrl_c_and_the_word_of_a_scheduler_end_a_worker_softly(scans: Path, tmp_path: Path):
+def test_sigint_and_sigterm_make_a_worker_release_its_scan(scans: Path, tmp_path: Path):
     out = tmp_path / "out"
     for sent in (signal.SIGINT, signal.SIGTERM):
         shutil.rmtree(out, ignore_errors=True)
@@ -203,9 +204,9 @@ def test_ctrl_c_and_the_word_of_a_scheduler_end_a_worker_softly(scans: Path, tmp
             while not list(out.glob("cache/drafts/*/*")) and time.monotonic() < deadline:
                 time.sleep(0.01)
             process.send_signal(sent)
-            _, said = process.communicate(timeout=60)
-        assert process.returncode == 130, said
-        assert "scanloom: Interrupted; finished results are kept." in said
+            _, message = process.communicate(timeout=60)
+        assert process.returncode == 130, message
+        assert "scanloom: Interrupted; finished results are kept." in message
         assert not list((out / "cache" / "drafts").iterdir())
         queue = read_current_queue(out)
         assert queue is not None
@@ -214,7 +215,7 @@ def test_ctrl_c_and_the_word_of_a_scheduler_end_a_worker_softly(scans: Path, tmp
 
 @pytest.mark.usefixtures("scans")
 @pytest.mark.parametrize(
-    ("words", "code", "said"),
+    ("words", "code", "message"),
     [
         (("batch", "none", "-o", "out"), 3, "none: there is no such folder"),
         (("batch", "empty", "-o", "out"), 3, "empty: the folder contains no scan"),
@@ -264,13 +265,13 @@ def test_ctrl_c_and_the_word_of_a_scheduler_end_a_worker_softly(scans: Path, tmp
         (("worker", "none"), 3, "this folder contains no batch"),
     ],
 )
-def test_what_is_wrong_is_one_sentence_and_nothing_is_written(
+def test_wrong_batch_options_are_one_error_and_write_nothing(
     scanloom: Run,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     words: tuple[str, ...],
     code: int,
-    said: str,
+    message: str,
 ):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "empty").mkdir()
@@ -281,11 +282,11 @@ def test_what_is_wrong_is_one_sentence_and_nothing_is_written(
     assert ran.exit_code == code, ran.stderr
     lines = [line for line in ran.stderr.splitlines() if line.startswith("scanloom: ")]
     assert len(lines) == 1
-    assert said in lines[0]
+    assert message in lines[0]
     assert sorted(tmp_path.rglob("*")) == before
 
 
-def test_files_that_stand_here_are_named_for_workers_elsewhere(
+def test_queued_paths_of_existing_files_are_absolute(
     scanloom: Run, scans: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
     monkeypatch.chdir(tmp_path)
@@ -295,11 +296,13 @@ def test_files_that_stand_here_are_named_for_workers_elsewhere(
     queue = read_current_queue(tmp_path / "out")
     assert queue is not None
     assert f'poses = "{tmp_path / "poses.txt"}"' in queue.settings.config
-    # What is not here is looked for in the folder of each scan.
+    # A missing path is relative to the folder of each scan.
     assert 'calibration = "camera.toml"' in queue.settings.config
 
 
-def test_a_limit_of_a_run_says_what_would_fit(scanloom: Run, scans: Path, tmp_path: Path):
+def test_a_run_over_the_memory_limit_reports_that_no_voxel_size_fits(
+    scanloom: Run, scans: Path, tmp_path: Path
+):
     ran = scanloom(
         "run", scans / "scan-0000", "-o", tmp_path / "out", "--set", "limits.memory=200 MB", "--json"
     )
@@ -309,7 +312,7 @@ def test_a_limit_of_a_run_says_what_would_fit(scanloom: Run, scans: Path, tmp_pa
 
 
 @pytest.mark.slow
-def test_the_page_opens_from_the_disk_and_shows_every_scan(scanloom: Run, scans: Path, tmp_path: Path):
+def test_the_batch_page_opens_from_disk_and_lists_every_scan(scanloom: Run, scans: Path, tmp_path: Path):
     name = "ball & <b>wall #1? 50%"
     (scans / "scan-0000").rename(scans / name)
     words = ("--set", "report.viewpoints=1", "--set", "report.width=64", "--set", "compare.samples=1000")
@@ -323,7 +326,7 @@ def test_the_page_opens_from_the_disk_and_shows_every_scan(scanloom: Run, scans:
         assert page.locator("tbody tr").count() == 3
         assert page.locator("tbody strong").all_inner_texts() == [name, "more/broken", "scan-0001"]
         assert "not valid JSON" in page.locator("tbody tr", has_text="more/broken").inner_text()
-        # Pictures come when they are about to be seen.
+        # Images are loaded lazily.
         page.wait_for_function(
             "() => [...document.querySelectorAll('tbody img')].every(one => one.naturalWidth === 64)"
         )

@@ -1,4 +1,4 @@
-"""check on files: what it says, exit codes, and the files of places."""
+"""Command `check`: messages, exit codes, and files of defect locations."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from scanloom.stages.surface.mesh_files import read_mesh
 Run = Callable[..., Any]
 
 
-def test_a_sound_mesh_keeps_what_is_required(scanloom: Run, clean_ball: Path) -> None:
+def test_a_sound_mesh_meets_its_requirements(scanloom: Run, clean_ball: Path) -> None:
     ran = scanloom("check", clean_ball, "--require", "watertight, outward,no-needles", "--json")
     assert (ran.exit_code, ran.stderr) == (0, "")
     assert ran.json["is_watertight"] is True
     assert {name: of["count"] for name, of in ran.json["classes"].items()} == dict.fromkeys(CLASSES, 0)
 
 
-def test_what_is_required_and_does_not_hold_is_told_one_by_one(scanloom: Run, ball: Path) -> None:
+def test_each_unmet_requirement_is_reported(scanloom: Run, ball: Path) -> None:
     ran = scanloom("check", ball, "--require", "watertight,one-piece,manifold")
     assert ran.exit_code == 1
     first, second = ran.stderr.splitlines()
@@ -35,7 +35,7 @@ def test_what_is_required_and_does_not_hold_is_told_one_by_one(scanloom: Run, ba
     assert scanloom("check", ball).exit_code == 0
 
 
-def test_places_are_kept_as_numbers_and_as_colours(scanloom: Run, ball: Path, tmp_path: Path) -> None:
+def test_defects_are_saved_as_json_and_as_coloured_ply(scanloom: Run, ball: Path, tmp_path: Path) -> None:
     listed, coloured = tmp_path / "new" / "places.json", tmp_path / "new" / "places.ply"
     ran = scanloom("check", ball, "--save-places", listed, "--save-ply", coloured)
     assert ran.exit_code == 0, ran.stderr
@@ -52,11 +52,13 @@ def test_places_are_kept_as_numbers_and_as_colours(scanloom: Run, ball: Path, tm
     assert np.flatnonzero(is_blue).tolist() == [len(colors) - 3, len(colors) - 2, len(colors) - 1]
 
 
-def test_wrong_words_and_bad_input(scanloom: Run, ball: Path, tmp_path: Path) -> None:
+def test_wrong_options_and_bad_input_have_exit_codes_2_and_3(
+    scanloom: Run, ball: Path, tmp_path: Path
+) -> None:
     ran = scanloom("check", ball, "--require", "waterproof")
     assert ran.exit_code == 2
     assert "unknown requirement 'waterproof'" in ran.stderr
-    # Before anything is read.
+    # Options are checked before files are read.
     ran = scanloom("check", tmp_path / "none.ply", "--require", "no-thin-triangles")
     assert (ran.exit_code, "needs min_thickness" in ran.stderr) == (2, True)
     assert scanloom("check", ball, "--set", "check.corner_angle=40").exit_code == 2

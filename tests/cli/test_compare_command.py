@@ -1,4 +1,4 @@
-"""compare on files: signs, tolerance, alignment, pictures; and what bad words are told."""
+"""Command `compare`: signs, tolerance, alignment, images, and messages about wrong options."""
 
 from __future__ import annotations
 
@@ -22,14 +22,16 @@ Run = Callable[..., Any]
 
 @pytest.fixture
 def larger(clean_ball: Path, tmp_path: Path) -> Path:
-    """The ball, 1 % larger and moved by a little."""
+    """Write the ball enlarged by 1 %."""
     mesh = read_mesh(clean_ball)
     centre = mesh.vertices.mean(axis=0)
     write_mesh(tmp_path / "larger.ply", mesh.with_(vertices=centre + 1.01 * (mesh.vertices - centre)))
     return tmp_path / "larger.ply"
 
 
-def test_signs_tolerance_and_pictures(scanloom: Run, clean_ball: Path, larger: Path, tmp_path: Path) -> None:
+def test_compare_reports_signs_and_tolerance_and_saves_images(
+    scanloom: Run, clean_ball: Path, larger: Path, tmp_path: Path
+) -> None:
     target = tmp_path / "new"
     words = (
         "--tolerance",
@@ -43,10 +45,10 @@ def test_signs_tolerance_and_pictures(scanloom: Run, clean_ball: Path, larger: P
     )
     ran = scanloom("compare", clean_ball, larger, *words, "--json")
     assert ran.exit_code == 0, ran.stderr
-    told = ran.json["deviation"]
-    assert told["is_signed"]
-    assert told["lowest_m"] > 0
-    assert told["over_ratio"] == pytest.approx(1)
+    result = ran.json["deviation"]
+    assert result["is_signed"]
+    assert result["lowest_m"] > 0
+    assert result["over_ratio"] == pytest.approx(1)
     assert len(read_mesh(target / "d.ply").colors) == len(read_mesh(larger).vertices)
     assert cv2.imread(str(target / "d.png")).shape[1] > 1000
     text = scanloom("compare", clean_ball, larger, "--tolerance", 1).stdout
@@ -54,7 +56,7 @@ def test_signs_tolerance_and_pictures(scanloom: Run, clean_ball: Path, larger: P
     assert "signed mean" in text
 
 
-def test_a_moved_mesh_is_aligned(scanloom: Run, tmp_path: Path) -> None:
+def test_a_translated_mesh_is_aligned(scanloom: Run, tmp_path: Path) -> None:
     body = make_bumpy_body()
     write_mesh(tmp_path / "a.ply", body)
     write_mesh(tmp_path / "b.ply", body.with_(vertices=body.vertices + np.array((0.03, 0, 0.01))))
@@ -79,13 +81,15 @@ def test_a_moved_mesh_is_aligned(scanloom: Run, tmp_path: Path) -> None:
         (("--tolerance", "-1"), "tolerance"),
     ],
 )
-def test_wrong_words(scanloom: Run, clean_ball: Path, words: tuple[str, ...], message: str) -> None:
+def test_wrong_options_are_reported(
+    scanloom: Run, clean_ball: Path, words: tuple[str, ...], message: str
+) -> None:
     ran = scanloom("compare", clean_ball, clean_ball, *words)
     assert ran.exit_code == 2
     assert message in ran.stderr
 
 
-def test_what_is_new_and_gone_is_told_with_areas(scanloom: Run, tmp_path: Path) -> None:
+def test_new_and_missing_regions_are_reported_with_areas(scanloom: Run, tmp_path: Path) -> None:
     body = make_bumpy_body()
     size = float(np.ptp(body.vertices[:, 0]))
     far = body.vertices + np.array((1.5 * size, 0, 0))
@@ -99,10 +103,10 @@ def test_what_is_new_and_gone_is_told_with_areas(scanloom: Run, tmp_path: Path) 
     pair = (tmp_path / "a.ply", tmp_path / "b.ply", "--set", "compare.samples=20000")
     ran = scanloom("compare", *pair, "--change", "--save-change", tmp_path / "c.ply", "--json")
     assert ran.exit_code == 0, ran.stderr
-    told = ran.json["change"]
-    assert (told["new_regions"], told["gone_regions"]) == (1, 0)
-    assert told["gone_area_m2"] == 0
-    assert told["new_area_m2"] > 0
+    result = ran.json["change"]
+    assert (result["new_regions"], result["gone_regions"]) == (1, 0)
+    assert result["gone_area_m2"] == 0
+    assert result["new_area_m2"] > 0
     colors = read_mesh(tmp_path / "c.ply").colors
     assert ((colors == (45, 160, 70)).all(axis=1)).sum() == len(body.vertices)
     assert "New in B" in scanloom("compare", *pair, "--change").stdout
@@ -118,7 +122,7 @@ def test_what_is_new_and_gone_is_told_with_areas(scanloom: Run, tmp_path: Path) 
         (("--page", "p.htm"), "unknown file extension"),
     ],
 )
-def test_what_is_saved_needs_its_option_and_a_format_that_holds_it(
+def test_saving_needs_the_matching_option_and_a_suitable_format(
     scanloom: Run, clean_ball: Path, words: tuple[str, ...], message: str
 ) -> None:
     ran = scanloom("compare", clean_ball, clean_ball, *words)
@@ -131,7 +135,7 @@ UNIT = r" (?:mm|m|dB|levels|points|samples|regions?)\b| m²| ?%|°"
 
 
 def test_every_number_of_the_tables_has_a_unit(scanloom: Run, tmp_path: Path) -> None:
-    """But for ΔE2000, which is one itself."""
+    """Every number is followed by a unit; ΔE2000 counts as a unit."""
     body = make_bumpy_body()
     pair = tmp_path / "a.ply", tmp_path / "b.ply"
     colors = np.tile(np.array((200, 120, 40), np.uint8), (len(body.vertices), 1))
@@ -144,27 +148,27 @@ def test_every_number_of_the_tables_has_a_unit(scanloom: Run, tmp_path: Path) ->
     assert "largest changes" in text
     assert "Deviations are unsigned" not in text
     for line in text.splitlines():
-        # A place has its unit behind the bracket.
-        said = re.sub(r"\([^)]*\) m\b|\d+(\.\d+)? ΔE2000|ΔE2000", "", line)
-        for found in re.finditer(rf"(?<![\w.]){NUMBER}", said):
-            rest = said[found.end() :]
+        # The unit of a point follows the bracket.
+        stripped = re.sub(r"\([^)]*\) m\b|\d+(\.\d+)? ΔE2000|ΔE2000", "", line)
+        for found in re.finditer(rf"(?<![\w.]){NUMBER}", stripped):
+            rest = stripped[found.end() :]
             assert re.match(UNIT, rest) or rest.startswith(" on average"), line
 
 
 @pytest.mark.slow
-def test_pictures_from_around_are_compared_and_saved(
+def test_rendered_views_are_compared_and_saved(
     scanloom: Run, clean_ball: Path, larger: Path, tmp_path: Path
 ) -> None:
     files = ("--save-views", tmp_path / "new" / "v")
     words = ("--set", "views.views=2", "--set", "views.view_width=96", *files, "--set", "compare.samples=500")
     ran = scanloom("compare", clean_ball, larger, *words, "--json")
     assert ran.exit_code == 0, ran.stderr
-    told = ran.json["views"]
-    assert told["compared"] == "colors"
-    assert told["psnr_db"] > 20
-    assert told["worst"] in ("view1", "view2")
-    assert 0.9 < told["silhouette_iou"] < 1
-    for one in told["each"]:
+    result = ran.json["views"]
+    assert result["compared"] == "colors"
+    assert result["psnr_db"] > 20
+    assert result["worst"] in ("view1", "view2")
+    assert 0.9 < result["silhouette_iou"] < 1
+    for one in result["each"]:
         assert cv2.imread(str(tmp_path / "new" / "v" / f"{one['viewpoint']}.png")).shape == (72, 288, 3)
     text = scanloom("compare", clean_ball, larger, *words).stdout
     assert "The comparison uses unlit colours" in text
@@ -175,12 +179,12 @@ def test_pictures_from_around_are_compared_and_saved(
 
 @pytest.fixture
 def points(clean_ball: Path, tmp_path: Path) -> Path:
-    """The vertices of the ball, 1 % farther out, as a cloud in colours."""
+    """Write the vertices of the ball, scaled by 1.01, as a coloured point cloud."""
     mesh = read_mesh(clean_ball)
     return write_cloud(tmp_path / "points.laz", make_cloud(1.01 * mesh.vertices, mesh.colors))
 
 
-def test_a_cloud_is_measured_from_a_mesh_and_drawn(
+def test_deviations_of_a_cloud_from_a_mesh_are_measured_and_drawn(
     scanloom: Run, clean_ball: Path, points: Path, tmp_path: Path
 ) -> None:
     files = ("--save-ply", tmp_path / "d.ply", "--picture", tmp_path / "d.png")
@@ -192,10 +196,10 @@ def test_a_cloud_is_measured_from_a_mesh_and_drawn(
         "a": None,
         "b": {"points": count, "spacing_m": pytest.approx(0.14, abs=0.03)},
     }
-    told = ran.json["deviation"]
-    assert told["is_signed"]
-    assert told["mean_m"] == pytest.approx(0.01, abs=1e-4)
-    assert told["over_ratio"] == 1
+    result = ran.json["deviation"]
+    assert result["is_signed"]
+    assert result["mean_m"] == pytest.approx(0.01, abs=1e-4)
+    assert result["over_ratio"] == 1
     painted = read_mesh_or_cloud(tmp_path / "d.ply")
     assert (len(painted.vertices), len(painted.triangles)) == (count, 0)
     assert (painted.colors[:, 0] > painted.colors[:, 2]).all()
@@ -205,7 +209,7 @@ def test_a_cloud_is_measured_from_a_mesh_and_drawn(
     assert "of its points is within" in text
 
 
-def test_a_mesh_is_measured_from_a_cloud_that_tells_how_far_it_sees(
+def test_distances_from_a_cloud_are_reported_with_its_point_spacing(
     scanloom: Run, clean_ball: Path, points: Path
 ) -> None:
     ran = scanloom("compare", points, clean_ball, "--set", "compare.samples=500")
@@ -216,7 +220,7 @@ def test_a_mesh_is_measured_from_a_cloud_that_tells_how_far_it_sees(
     assert "A has no normals" in ran.stdout
 
 
-def test_what_a_cloud_cannot_tell_is_refused(
+def test_options_that_need_two_meshes_are_refused_for_a_cloud(
     scanloom: Run, clean_ball: Path, points: Path, tmp_path: Path
 ) -> None:
     for words in (("--change",), ("--set", "views.views=2")):
@@ -231,7 +235,7 @@ def test_what_a_cloud_cannot_tell_is_refused(
     assert "unknown format '.laz'" in ran.stderr
 
 
-def test_a_cloud_is_aligned(scanloom: Run, tmp_path: Path) -> None:
+def test_a_cloud_is_aligned_to_a_mesh(scanloom: Run, tmp_path: Path) -> None:
     body = make_bumpy_body()
     write_mesh(tmp_path / "a.ply", body)
     write_cloud(tmp_path / "b.las", make_cloud(body.vertices + np.array((0.02, 0, -0.01))))
@@ -242,7 +246,7 @@ def test_a_cloud_is_aligned(scanloom: Run, tmp_path: Path) -> None:
     np.testing.assert_allclose(moved.vertices, body.vertices, atol=4e-3)
 
 
-def test_a_page_of_a_comparison_is_written(
+def test_a_comparison_page_is_written(
     scanloom: Run, clean_ball: Path, larger: Path, points: Path, tmp_path: Path
 ) -> None:
     for other, words in ((larger, ("--change",)), (points, ())):

@@ -1,4 +1,4 @@
-"""coverage: the table a person reads, JSON for programs, and what is refused with which exit code."""
+"""Command `coverage`: table, JSON, and exit codes for refused input."""
 
 from __future__ import annotations
 
@@ -22,43 +22,43 @@ def out(tiny_scan: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_a_table_of_places_is_printed_and_json_tells_the_same(scanloom: Run, out: Path) -> None:
+def test_the_table_and_json_list_the_same_defects(scanloom: Run, out: Path) -> None:
     ran = scanloom("coverage", out)
 
     assert ran.exit_code == 0
     lines = ran.stdout.splitlines()
     assert lines[0].split()[:2] == ["defect", "m²"]
     assert "next to space that no frame observed" in lines[-2]
-    told = json.loads(scanloom("coverage", out, "--json").stdout)
-    assert f"median {told['spread_median_m']:.2g} m, 95th percentile" in lines[-1]
-    assert len(told["places"]) == len(json.loads((out / "coverage.json").read_text())["places"])
-    assert [line.split()[0] for line in lines[1 : len(told["places"]) + 1]] == [
-        str(number + 1) for number in range(len(told["places"]))
+    result = json.loads(scanloom("coverage", out, "--json").stdout)
+    assert f"median {result['spread_median_m']:.2g} m, 95th percentile" in lines[-1]
+    assert len(result["places"]) == len(json.loads((out / "coverage.json").read_text())["places"])
+    assert [line.split()[0] for line in lines[1 : len(result["places"]) + 1]] == [
+        str(number + 1) for number in range(len(result["places"]))
     ]
-    # The ball hides the wall behind it.
-    first = told["places"][0]
+    # The ball occludes the wall behind it.
+    first = result["places"][0]
     assert first["kind"] in ("hidden", "hole")
     assert 0.75 < first["point_m"][2] < 1.25
-    assert [Path(path).name for path in told["output"]] == ["coverage.glb", "coverage.json", "coverage.ply"]
+    assert [Path(path).name for path in result["output"]] == ["coverage.glb", "coverage.json", "coverage.ply"]
 
 
-def test_options_are_those_of_the_stage(scanloom: Run, out: Path) -> None:
-    told = json.loads(
+def test_parameters_of_the_stage_apply_to_the_command(scanloom: Run, out: Path) -> None:
+    result = json.loads(
         scanloom(
             "coverage", out, "--json", "--set", "coverage.max_defects=1", "--set", "coverage.max_angle=45"
         ).stdout
     )
 
-    assert len(told["places"]) == 1
-    assert told["oblique_deg"] == pytest.approx(45)
-    assert told["places_omitted"] > 0
+    assert len(result["places"]) == 1
+    assert result["oblique_deg"] == pytest.approx(45)
+    assert result["places_omitted"] > 0
     assert (
         "smaller defects are not listed; see --set coverage.max_defects"
         in scanloom("coverage", out, "--set", "coverage.max_defects=1").stdout
     )
 
 
-def test_where_nothing_is_missing_it_says_so(scanloom: Run, out: Path) -> None:
+def test_a_surface_without_gaps_is_reported(scanloom: Run, out: Path) -> None:
     ran = scanloom("coverage", out, "--set", "coverage.min_area=100")
 
     assert ran.exit_code == 0
@@ -75,7 +75,7 @@ def test_where_nothing_is_missing_it_says_so(scanloom: Run, out: Path) -> None:
         ([], 2, "OUT"),
     ],
 )
-def test_what_cannot_be_done_is_one_sentence(
+def test_bad_input_is_one_error(
     scanloom: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, words: list[str], code: int, why: str
 ) -> None:
     monkeypatch.chdir(tmp_path)

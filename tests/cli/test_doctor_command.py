@@ -1,4 +1,4 @@
-"""doctor: what is there, as text, JSON and a bundle that gives nothing away."""
+"""Command `doctor`: text, JSON, and a bundle without private paths."""
 
 from __future__ import annotations
 
@@ -18,22 +18,24 @@ from scanloom.stages import _kernels
 Run = Callable[..., Any]
 
 
-def test_it_says_what_is_there(scanloom: Run) -> None:
+def test_doctor_lists_libraries_kernels_and_threads(scanloom: Run) -> None:
     ran = scanloom("doctor", "--json")
     assert (ran.exit_code, ran.stderr) == (0, "")
-    told = ran.json
-    assert told["libraries"]["numpy"] == metadata.version("numpy")
-    assert None not in told["libraries"].values()
-    assert told["kernels"].endswith(hashlib.sha256(Path(_kernels.__file__).read_bytes()).hexdigest()[:12])
-    assert 0 < told["threads"] <= os.cpu_count()
-    assert told["disk_free_bytes"] > 0
+    result = ran.json
+    assert result["libraries"]["numpy"] == metadata.version("numpy")
+    assert None not in result["libraries"].values()
+    assert result["kernels"].endswith(hashlib.sha256(Path(_kernels.__file__).read_bytes()).hexdigest()[:12])
+    assert 0 < result["threads"] <= os.cpu_count()
+    assert result["disk_free_bytes"] > 0
     text = scanloom("doctor").stdout
     assert metadata.version("trimesh") in text
-    assert told["kernels"] in text
-    assert told["kernels"] in scanloom("--version").stdout
+    assert result["kernels"] in text
+    assert result["kernels"] in scanloom("--version").stdout
 
 
-def test_the_bundle_holds_no_home(scanloom: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_bundle_contains_no_home_path(
+    scanloom: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setenv("HOME", str(tmp_path / "home"))
     out = tmp_path / "home" / "out"
     out.mkdir(parents=True)
@@ -48,7 +50,7 @@ def test_the_bundle_holds_no_home(scanloom: Run, tmp_path: Path, monkeypatch: py
 
 
 @pytest.mark.parametrize("home", ["C:\\Users\\ada", "/home/åda"])
-def test_the_bundle_holds_no_home_as_json_writes_it(
+def test_the_bundle_contains_no_escaped_home_path(
     scanloom: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, home: str
 ) -> None:
     monkeypatch.setenv("HOME", home)
@@ -63,7 +65,9 @@ def test_the_bundle_holds_no_home_as_json_writes_it(
             assert json.loads(packed.read("report.json")) == {"folder": "~/scan"}
 
 
-def test_what_is_odd_has_a_line_of_its_own(scanloom: Run, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_platform_note_is_printed_on_a_separate_line(
+    scanloom: Run, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr("scanloom.stages.inspecting.system.is_case_insensitive", lambda folder: True)  # noqa: ARG005
     lines = [line for line in scanloom("doctor").stdout.splitlines() if line.startswith("note: ")]
     assert len(lines) == 1
@@ -79,7 +83,7 @@ def test_what_is_odd_has_a_line_of_its_own(scanloom: Run, monkeypatch: pytest.Mo
         (("--bundle", "b.zip", "--run", "none"), 3, "contains no report.json"),
     ],
 )
-def test_what_cannot_be(
+def test_wrong_doctor_options_are_reported_and_nothing_is_written(
     scanloom: Run,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,

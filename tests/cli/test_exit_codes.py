@@ -1,4 +1,4 @@
-"""One table of exit codes: the program's, the README's, and what commands end with."""
+"""Exit codes: the same table in the program and the README, and the codes of commands."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ ROOT = Path(__file__).parents[2]
 
 @pytest.fixture
 def pieces(tmp_path: Path) -> Path:
-    """Five balls: all stay, so that no fewer than 20 triangles can be left of them."""
+    """Write five balls as PLY; their simplified mesh has at least 20 triangles, as all components stay."""
     one = trimesh.creation.icosphere(subdivisions=1)
     vertices = np.vstack([one.vertices + np.array([3.0 * i, 0, 0]) for i in range(5)])
     triangles = np.vstack([one.faces + i * len(one.vertices) for i in range(5)])
@@ -36,18 +36,18 @@ def pieces(tmp_path: Path) -> Path:
     return path
 
 
-def test_the_readme_has_the_same_table() -> None:
+def test_the_readme_has_the_table_of_the_program() -> None:
     section = (ROOT / "README.md").read_text(encoding="utf-8").split("\n## Exit codes\n")[1].split("\n## ")[0]
     rows = re.findall(r"^\| (\d+) \| ([^|:]+?)(?::[^|]*)? \|", section, re.MULTILINE)
     assert {int(code): meaning for code, meaning in rows} == MEANINGS
 
 
-def test_the_help_says_them_in_short(scanloom: Run) -> None:
+def test_the_help_summarizes_the_exit_codes(scanloom: Run) -> None:
     text = re.sub(r"\s+", " ", scanloom("--help").stdout)
     assert f"Exit codes: {summarize()}" in text
 
 
-def test_a_number_of_triangles_that_is_not_reached_ends_with_1(scanloom: Run, pieces: Path) -> None:
+def test_a_triangle_count_that_is_not_reached_exits_with_1(scanloom: Run, pieces: Path) -> None:
     light = pieces.with_name("light.ply")
     ran = scanloom("simplify", pieces, light, "--triangles", 10, "--json")
     assert ran.exit_code == 1
@@ -60,25 +60,27 @@ def test_a_number_of_triangles_that_is_not_reached_ends_with_1(scanloom: Run, pi
     assert scanloom("simplify", pieces, light, "--triangles", 200).exit_code == 0
 
 
-def test_with_bounds_whichever_comes_first_is_what_was_asked_for(scanloom: Run, pieces: Path) -> None:
+def test_a_bound_that_stops_before_the_count_exits_with_0(scanloom: Run, pieces: Path) -> None:
     words = ("simplify", pieces, pieces.with_name("light.ply"), "--triangles", 10, "--json")
     by_bounds = scanloom(*words, "--max-shape", 0.01)
     assert (by_bounds.exit_code, by_bounds.json["stopped_by"]) == (0, "bounds")
     assert by_bounds.unmet == []
 
 
-def test_a_normal_mesh_that_is_too_far_ends_with_1(scanloom: Run, clean_ball: Path, tmp_path: Path) -> None:
+def test_a_normal_mesh_above_its_max_error_exits_with_1(
+    scanloom: Run, clean_ball: Path, tmp_path: Path
+) -> None:
     target = tmp_path / "out.ply"
     few = ("--levels", 1, "--base-triangles", 40)
     ran = scanloom("mesh", "remesh", clean_ball, target, *few, "--set", "remesh.max_error=1e-9")
     assert ran.exit_code == 1
     assert target.is_file()
-    # Said once, as the warning it is.
+    # The warning appears once.
     assert ran.stderr.count("the finest level is up to") == 1
     assert scanloom("mesh", "remesh", clean_ball, target, *few, "--set", "remesh.max_error=1").exit_code == 0
 
 
-def test_a_limit_that_is_not_kept_ends_with_1_and_a_sentence(scanloom: Run, clean_ball: Path) -> None:
+def test_an_unproven_limit_exits_with_1_and_a_message(scanloom: Run, clean_ball: Path) -> None:
     light = clean_ball.with_name("light.ply")
     scanloom("simplify", clean_ball, light, "--ratio", 0.3)
     ran = scanloom("mesh", "certify", light, clean_ball, "--max-shape", 1e-6)
@@ -87,7 +89,7 @@ def test_a_limit_that_is_not_kept_ends_with_1_and_a_sentence(scanloom: Run, clea
     assert "The limits are not proven." in ran.stdout
 
 
-def test_a_limit_loosens_no_number_that_is_printed(scanloom: Run, clean_ball: Path) -> None:
+def test_a_limit_does_not_loosen_printed_bounds(scanloom: Run, clean_ball: Path) -> None:
     light = clean_ball.with_name("light.ply")
     scanloom("simplify", clean_ball, light, "--ratio", 0.3)
     bound = scanloom("mesh", "certify", light, clean_ball, "--json").json["shape_bound_m"]
@@ -101,7 +103,7 @@ def test_a_limit_loosens_no_number_that_is_printed(scanloom: Run, clean_ball: Pa
 
 
 @pytest.mark.parametrize("command", ["compare", pytest.param("bake", marks=pytest.mark.slow)])
-def test_meshes_of_different_things_end_with_1(
+def test_meshes_in_different_coordinates_exit_with_1(
     scanloom: Run, clean_ball: Path, tmp_path: Path, command: str
 ) -> None:
     ball, far, target = read_ply(clean_ball), tmp_path / "far.ply", tmp_path / "out.glb"
@@ -121,7 +123,7 @@ def test_meshes_of_different_things_end_with_1(
 
 
 @pytest.mark.slow
-def test_a_run_that_does_not_reach_a_number_ends_with_1(
+def test_a_run_that_misses_its_triangle_count_exits_with_1(
     scanloom: Run, tiny_scan: Path, tmp_path: Path
 ) -> None:
     words = ("run", tiny_scan, "-o", tmp_path / "out", "--until", "simplify", "--json")
@@ -132,9 +134,11 @@ def test_a_run_that_does_not_reach_a_number_ends_with_1(
         assert re.match(r"simplify: [\d,]+ triangles are left instead of 2: ", sentence)
         assert f"scanloom: {sentence}" in ran.stderr.splitlines()
         report = json.loads((tmp_path / "out" / "report.json").read_text())
-        (told,) = [one for one in report["stages"]["simplify"]["diagnostics"] if one["severity"] == "unmet"]
-        assert str(Diagnostic.from_dict(told)) == sentence
-        assert (told["code"], told["severity"]) == ("simplify.count-not-reached", "unmet")
+        (diagnostic,) = [
+            one for one in report["stages"]["simplify"]["diagnostics"] if one["severity"] == "unmet"
+        ]
+        assert str(Diagnostic.from_dict(diagnostic)) == sentence
+        assert (diagnostic["code"], diagnostic["severity"]) == ("simplify.count-not-reached", "unmet")
     more = scanloom(*words, "--set", "simplify.triangles=2", "--set", "simplify.max_shape=0.01")
     assert (more.exit_code, more.stderr) == (0, "")
 
@@ -147,7 +151,7 @@ def test_a_run_that_does_not_reach_a_number_ends_with_1(
         ("poses.tum", "no numbers", 3),
     ],
 )
-def test_companions_of_a_scan_are_input_and_a_configuration_is_words(
+def test_bad_poses_exit_with_3_and_a_bad_configuration_with_2(
     scanloom: Run, tiny_scan: Path, tmp_path: Path, name: str, content: str, code: int
 ) -> None:
     option = "--config" if name == "wrong.toml" else "--poses"
@@ -173,7 +177,7 @@ def test_companions_of_a_scan_are_input_and_a_configuration_is_words(
         ("simplify", "a.ply", "b.ply", "--ratioo", "1"),
     ],
 )
-def test_a_guess_at_what_was_meant_is_asked_once(
+def test_a_message_suggests_one_correction(
     scanloom: Run, tiny_scan: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, words: tuple[str, ...]
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -184,22 +188,21 @@ def test_a_guess_at_what_was_meant_is_asked_once(
     assert re.search(r"voxel_size|fuse|clean|simplify|--ratio", ran.stderr)
 
 
-# The first imports of the program take most of a second; by the last delay some commands are over. By the
-# first one, the line after the first import has been run, which takes Ctrl-C in hand.
+# The first imports take most of a second; after the longest delay some commands have ended. Even at the
+# shortest delay, Ctrl-C is already handled, because the handler is installed after the first import.
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "program", [["-m", "scanloom.cli.app"], ["-c", "from scanloom.cli.start import main; main()"]]
 )
 @pytest.mark.parametrize("delay", [0.02, 0.05, 0.1, 0.2, 0.4, 0.8])
-def test_ctrl_c_while_imports_run_is_a_sentence(program: list[str], delay: float, tmp_path: Path) -> None:
-    # Python tells each import as it is done: that of `scanloom.cli.interrupts` is the first moment that is
-    # ours.
+def test_ctrl_c_during_imports_prints_one_sentence(program: list[str], delay: float, tmp_path: Path) -> None:
+    # Python reports each import when it ends. Signals are handled from the end of `scanloom.cli.interrupts`.
     words = [sys.executable, "-X", "importtime", *program, "clean", "missing.ply", str(tmp_path / "out.ply")]
     started = subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, cwd=ROOT)
     assert started.stderr is not None
-    said = ""
-    while "scanloom.cli.interrupts" not in said:
-        said = started.stderr.readline()
+    message = ""
+    while "scanloom.cli.interrupts" not in message:
+        message = started.stderr.readline()
     time.sleep(delay)
     started.send_signal(signal.SIGINT)
     rest = [line for line in started.communicate(timeout=60)[1].splitlines() if "import time:" not in line]
@@ -211,7 +214,7 @@ def test_ctrl_c_while_imports_run_is_a_sentence(program: list[str], delay: float
     assert all(line.startswith("scanloom: ") for line in rest)
 
 
-def test_a_damaged_image_is_one_line_and_none_of_opencvs(tmp_path):
+def test_a_damaged_image_is_one_line_without_messages_of_opencv(tmp_path):
     for name in ("im2.ppm", "im6.ppm"):
         (tmp_path / name).write_bytes(b"P6\n640 480\n255\n" + bytes(1000))
     words = [sys.executable, "-c", "from scanloom.cli.start import main; main()", "inspect", str(tmp_path)]

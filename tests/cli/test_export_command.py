@@ -1,4 +1,4 @@
-"""export on files: what is written, what is told, and what bad input is told."""
+"""Command `export`: written files, messages, and bad input."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def model(tmp_path: Path) -> Path:
     return tmp_path / "model.glb"
 
 
-def test_a_small_file_for_the_web(scanloom: Run, model: Path, tmp_path: Path) -> None:
+def test_preset_web_writes_a_small_file(scanloom: Run, model: Path, tmp_path: Path) -> None:
     target = tmp_path / "new" / "web.glb"
     ran = scanloom("export", model, target, "--preset", "web", "--json")
     assert ran.exit_code == 0, ran.stderr
@@ -33,19 +33,19 @@ def test_a_small_file_for_the_web(scanloom: Run, model: Path, tmp_path: Path) ->
     )
     (image,) = read_mesh(target).texture.images
     assert image.mime == "image/webp"
-    # What is given counts more than the preset.
+    # Explicit options override the preset.
     assert scanloom("export", model, target, "--preset", "web", "--set", "export.images=jpeg").exit_code == 0
     (image,) = read_mesh(target).texture.images
     assert image.mime == "image/jpeg"
-    # What it is by default, too.
-    told = [
+    # So do explicit options with their default value.
+    errors = [
         scanloom("export", model, target, "--preset", "web", *words, "--json").json["position_error_m"]
         for words in ((), ("--set", "export.position_bits=16"), ("--compress", "none"))
     ]
-    assert told[0] > 3 * told[1] > told[2] == 0
+    assert errors[0] > 3 * errors[1] > errors[2] == 0
 
 
-def test_a_printer_is_told_why_not(scanloom: Run, model: Path, tmp_path: Path) -> None:
+def test_preset_print_reports_an_open_mesh(scanloom: Run, model: Path, tmp_path: Path) -> None:
     ran = scanloom("export", model, tmp_path / "a.stl", "--preset", "print")
     assert ran.exit_code == 1
     assert "edges with only one triangle" in ran.stderr
@@ -56,7 +56,7 @@ def test_a_printer_is_told_why_not(scanloom: Run, model: Path, tmp_path: Path) -
     assert read_mesh(tmp_path / "b.stl").vertices[:, 2].max() == pytest.approx(100, abs=0.01)
 
 
-def test_gltf_of_others_has_y_up(scanloom: Run, tmp_path: Path) -> None:
+def test_gltf_files_of_other_programs_are_y_up(scanloom: Run, tmp_path: Path) -> None:
     write_mesh(tmp_path / "a.glb", sheet())
     ran = scanloom("export", tmp_path / "a.glb", tmp_path / "a.ply", "--set", "export.axes=z-up")
     assert ran.exit_code == 0
@@ -75,7 +75,7 @@ def test_gltf_of_others_has_y_up(scanloom: Run, tmp_path: Path) -> None:
         (("folder.glb",), 3, "this is a folder"),
     ],
 )
-def test_what_cannot_be_is_one_sentence(
+def test_bad_export_input_is_one_error_and_writes_nothing(
     scanloom: Run, model: Path, tmp_path: Path, words: tuple[str, ...], code: int, message: str
 ) -> None:
     (tmp_path / "folder.glb").mkdir()
@@ -86,6 +86,6 @@ def test_what_cannot_be_is_one_sentence(
     assert sorted(tmp_path.iterdir()) == before
 
 
-def test_a_missing_file_is_told(scanloom: Run, tmp_path: Path) -> None:
+def test_a_missing_file_is_reported(scanloom: Run, tmp_path: Path) -> None:
     ran = scanloom("export", tmp_path / "none.glb", tmp_path / "out.glb")
     assert (ran.exit_code, "there is no such file" in ran.stderr) == (3, True)

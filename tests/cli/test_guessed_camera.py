@@ -1,4 +1,4 @@
-"""Where a guessed camera decides the result, a run says so at its end, too."""
+"""A run repeats at its end that its camera is guessed."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from scanloom.stages.scans.reader import read_scan
 Run = Callable[..., Any]
 
 
-def test_a_run_ends_with_the_guess_unless_the_camera_is_named(
+def test_a_run_ends_with_the_guess_unless_the_camera_is_given(
     scanloom: Run, tiny_scan: Path, tmp_path: Path
 ) -> None:
     folder = tmp_path / "scan"

@@ -1,4 +1,4 @@
-"""No image is lost in silence: it is carried, baked anew, or a warning says which option keeps it."""
+"""Textures are never dropped silently: they are kept, baked again, or a warning names the option."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ METHODS = {
 
 @pytest.fixture
 def textured(tmp_path: Path) -> Path:
-    """A closed ball whose image has its left half red and its right half blue."""
+    """Write a closed ball with an image that is red on its left half and blue on its right half."""
     mesh = wrapped_ball(16, 32, bumps=0.05)
     pixels = np.zeros((64, 64, 3), np.uint8)
     pixels[:, :32, 0] = pixels[:, 32:, 2] = 200
@@ -65,7 +65,7 @@ def test_every_method_gives_a_closed_mesh_with_an_image(
 
 
 @pytest.mark.parametrize("method", ["quadric", "jia01", "planar"])
-def test_where_no_image_is_wanted_a_warning_says_what_keeps_it(
+def test_no_bake_warns_that_the_texture_is_discarded(
     scanloom: Run, textured: Path, tmp_path: Path, method: str
 ) -> None:
     target = tmp_path / "light.glb"
@@ -76,7 +76,7 @@ def test_where_no_image_is_wanted_a_warning_says_what_keeps_it(
 
 
 @pytest.mark.parametrize("suffix", [".stl", ".off"])
-def test_formats_of_the_shape_alone_say_so(
+def test_geometry_only_formats_warn_about_dropped_colours(
     scanloom: Run, textured: Path, tmp_path: Path, suffix: str
 ) -> None:
     ran = scanloom("simplify", textured, tmp_path / f"light{suffix}", "--ratio", 0.5, "--quiet")
@@ -84,7 +84,7 @@ def test_formats_of_the_shape_alone_say_so(
     assert f"{suffix} stores geometry only: the colours are left out; write .ply or .glb" in ran.stderr
 
 
-def test_a_normal_mesh_has_an_image_of_its_own(scanloom: Run, textured: Path, tmp_path: Path) -> None:
+def test_a_normal_mesh_gets_a_baked_image(scanloom: Run, textured: Path, tmp_path: Path) -> None:
     target = tmp_path / "normal.glb"
     ran = scanloom("mesh", "remesh", textured, target, "--json")
     assert ran.exit_code == 0, ran.stderr
@@ -96,7 +96,7 @@ def test_a_normal_mesh_has_an_image_of_its_own(scanloom: Run, textured: Path, tm
     assert "remesh discards the texture" in ran.stderr
 
 
-def test_transparency_is_told(scanloom: Run, tmp_path: Path) -> None:
+def test_dropped_transparency_is_reported(scanloom: Run, tmp_path: Path) -> None:
     lines = ["ply", "format ascii 1.0", "element vertex 3", *(f"property float {x}" for x in "xyz")]
     lines += [f"property uchar {name}" for name in ("red", "green", "blue", "alpha")]
     lines += ["element face 1", "property list uchar int vertex_indices", "end_header"]
@@ -107,7 +107,7 @@ def test_transparency_is_told(scanloom: Run, tmp_path: Path) -> None:
     assert f"warning: {path}: the transparency of vertices is left out" in ran.stderr
 
 
-def test_keep_uv_leaves_the_image_as_it_is(scanloom: Run, textured: Path, tmp_path: Path) -> None:
+def test_keep_uv_keeps_the_image_bytes(scanloom: Run, textured: Path, tmp_path: Path) -> None:
     target = tmp_path / "light.glb"
     ran = scanloom("simplify", textured, target, "--ratio", 0.3, "--keep-uv", "--json")
     assert ran.exit_code == 0, ran.stderr
@@ -121,7 +121,7 @@ def test_keep_uv_leaves_the_image_as_it_is(scanloom: Run, textured: Path, tmp_pa
     assert refused.exit_code == 2
 
 
-def test_without_a_goal_the_bound_is_told(scanloom: Run, textured: Path, tmp_path: Path) -> None:
+def test_without_a_goal_the_default_bound_is_reported(scanloom: Run, textured: Path, tmp_path: Path) -> None:
     ran = scanloom("simplify", textured, tmp_path / "light.glb")
     assert ran.exit_code == 0, ran.stderr
     assert "Neither a size nor a bound was given: the shape stays within" in ran.stdout
@@ -131,7 +131,7 @@ def test_without_a_goal_the_bound_is_told(scanloom: Run, textured: Path, tmp_pat
 
 
 @pytest.mark.parametrize("suffix", [".glb", ".obj", ".ply"])
-def test_formats_with_images_hold_the_baked_one(
+def test_formats_with_images_store_the_baked_image(
     scanloom: Run, textured: Path, tmp_path: Path, suffix: str
 ) -> None:
     target = tmp_path / f"light{suffix}"
@@ -159,7 +159,7 @@ def test_a_compressed_file_stays_compressed_and_gets_no_larger(
     assert not any("larger" in warning for warning in ran.warnings)
 
 
-def test_rounding_of_a_compressed_file_is_part_of_the_bound(
+def test_rounding_of_a_compressed_file_counts_in_the_bound(
     scanloom: Run, textured: Path, tmp_path: Path
 ) -> None:
     source, target = tmp_path / "small.glb", tmp_path / "light.glb"
@@ -175,7 +175,7 @@ def test_rounding_of_a_compressed_file_is_part_of_the_bound(
     assert detect_packing(target, read_mesh(target)).compress == "none"
 
 
-def test_a_file_that_grows_is_named_with_its_bytes(scanloom: Run, textured: Path, tmp_path: Path) -> None:
+def test_a_file_that_grows_is_reported_with_its_bytes(scanloom: Run, textured: Path, tmp_path: Path) -> None:
     source, target = tmp_path / "small.off", tmp_path / "light.off"
     plain = read_mesh(textured)
     rounded = np.rint(plain.vertices * 100)
@@ -191,7 +191,7 @@ def test_a_file_that_grows_is_named_with_its_bytes(scanloom: Run, textured: Path
     )
 
 
-def test_bytes_of_files_with_images_beside(scanloom: Run, textured: Path, tmp_path: Path) -> None:
+def test_output_bytes_include_separate_images(scanloom: Run, textured: Path, tmp_path: Path) -> None:
     for suffix in (".gltf", ".obj", ".ply"):
         folder = tmp_path / suffix[1:]
         folder.mkdir()

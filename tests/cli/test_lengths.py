@@ -1,4 +1,4 @@
-"""Lengths may have a unit, in `--set` and in options."""
+"""Lengths with a unit in `--set` and in options."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ def test_units_are_converted(text: str, metres: float) -> None:
 
 
 @pytest.mark.parametrize("text", ["", "mm", "5 miles", "5mmm", "five", "5 m m"])
-def test_other_text_is_no_length(text: str) -> None:
+def test_malformed_lengths_are_refused(text: str) -> None:
     with pytest.raises(ValueError, match="could not convert"):
         parse_length(text)
 
 
-def test_set_takes_units() -> None:
+def test_set_converts_units_of_lengths() -> None:
     assert Config().set(["simplify.max_shape=5mm"]) == Config().set(["simplify.max_shape=0.005"])
     assert Config().set(["simplify.max_shape=none"]).simplify.max_shape is None
     # Only lengths have units.
@@ -40,7 +40,7 @@ def test_set_takes_units() -> None:
         Config().set(["simplify.max_shape=5 miles"])
 
 
-def test_options_take_units(scanloom: Callable[..., Any], tmp_path: Path) -> None:
+def test_options_convert_units_of_lengths(scanloom: Callable[..., Any], tmp_path: Path) -> None:
     source = ROOT / "samples" / "truth.ply"
     found = scanloom("simplify", source, tmp_path / "light.ply", "--max-shape", "5mm", "--json")
     assert found.exit_code == 0

@@ -1,4 +1,4 @@
-"""lod build, info and cut on files."""
+"""Commands `lod build`, `lod info` and `lod cut`."""
 
 from __future__ import annotations
 
@@ -27,20 +27,20 @@ def built(scanloom: Run, tmp_path: Path) -> Path:
     return tmp_path / "new" / "m.slod"
 
 
-def test_build_and_info_tell_the_same_levels(scanloom: Run, built: Path, tmp_path: Path) -> None:
+def test_build_and_info_report_the_same_levels(scanloom: Run, built: Path, tmp_path: Path) -> None:
     again = scanloom(
         "lod", "build", tmp_path / "m.ply", tmp_path / "n.slod", "--set", "lod.cell_triangles=500", "--json"
     )
-    told = scanloom("lod", "info", built, "--json").json
-    assert again.json["levels"] == told["levels"]
-    assert told["base_triangles"] == told["input_triangles"] == 3200
-    assert [level["shape_bound_m"] for level in told["levels"]] == sorted(
-        (level["shape_bound_m"] for level in told["levels"]), reverse=True
+    result = scanloom("lod", "info", built, "--json").json
+    assert again.json["levels"] == result["levels"]
+    assert result["base_triangles"] == result["input_triangles"] == 3200
+    assert [level["shape_bound_m"] for level in result["levels"]] == sorted(
+        (level["shape_bound_m"] for level in result["levels"]), reverse=True
     )
     assert "proven error m" in scanloom("lod", "info", built).stdout
 
 
-def test_cut_to_a_number_of_triangles_an_error_and_a_view(scanloom: Run, built: Path, tmp_path: Path) -> None:
+def test_cut_reaches_a_triangle_count_an_error_and_a_view(scanloom: Run, built: Path, tmp_path: Path) -> None:
     out = tmp_path / "cut.ply"
     ran = scanloom("lod", "cut", built, out, "--triangles", 700, "--json")
     assert ran.exit_code == 0, ran.stderr
@@ -72,7 +72,7 @@ def test_cut_to_a_number_of_triangles_an_error_and_a_view(scanloom: Run, built: 
     assert all(tuple(v) in exact for v in found[np.linalg.norm(found, axis=1) < 0.1])
 
 
-def test_a_cut_gets_the_image_of_a_model(scanloom: Run, built: Path, tmp_path: Path) -> None:
+def test_a_cut_gets_the_texture_of_a_model(scanloom: Run, built: Path, tmp_path: Path) -> None:
     out, model = tmp_path / "cut.glb", tmp_path / "m.ply"
     ran = scanloom("lod", "cut", built, out, "--triangles", 700, "--texture", model, "--json")
     assert ran.exit_code == 0, ran.stderr
@@ -87,7 +87,7 @@ def test_a_cut_gets_the_image_of_a_model(scanloom: Run, built: Path, tmp_path: P
     assert "unknown file extension .stl; use .glb, .obj, .ply." in ran.stderr
 
 
-def test_what_was_built_of_a_textured_mesh_gets_its_image_anew(scanloom: Run, tmp_path: Path) -> None:
+def test_a_cut_of_a_textured_mesh_is_baked_again(scanloom: Run, tmp_path: Path) -> None:
     source, slod, out = tmp_path / "m.glb", tmp_path / "m.slod", tmp_path / "cut.glb"
     write_mesh(source, bake(sheet(16), sheet(16)).mesh)
     ran = scanloom(
@@ -105,15 +105,15 @@ def test_what_was_built_of_a_textured_mesh_gets_its_image_anew(scanloom: Run, tm
     assert (ran.exit_code, ran.stderr) == (0, "")
     assert read_mesh(out).texture is None
     assert "texture" not in ran.json
-    # A format for the shape alone says what it has no place for.
+    # Geometry-only formats warn about what they cannot store.
     ran = scanloom("lod", "cut", slod, tmp_path / "cut.stl", "--triangles", 300)
     assert ran.exit_code == 0
     assert "colours" in ran.stderr
 
 
-def test_dropped_islands_are_told_everywhere(scanloom: Run, tmp_path: Path) -> None:
+def test_dropped_islands_are_reported_by_build_info_and_cut(scanloom: Run, tmp_path: Path) -> None:
     whole = sheet(40)
-    # One triangle a metre above, as wide as a millimetre.
+    # One triangle, 1 mm wide and 1 m above.
     speck = np.array([(0, 0, 1), (0.001, 0, 1), (0, 0.001, 1)])
     mesh = whole.with_(
         vertices=np.concatenate([whole.vertices, speck]),
@@ -138,20 +138,20 @@ def test_dropped_islands_are_told_everywhere(scanloom: Run, tmp_path: Path) -> N
     assert "1 connected components" in ran.stderr
     ran = scanloom("lod", "info", slod)
     assert "1 small components, 1 triangles, were dropped" in ran.stdout
-    told = scanloom("lod", "info", slod, "--json").json
-    assert (told["one_sided"], told["dropped_islands"], told["dropped_triangles"]) == (True, 1, 1)
+    result = scanloom("lod", "info", slod, "--json").json
+    assert (result["one_sided"], result["dropped_islands"], result["dropped_triangles"]) == (True, 1, 1)
     ran = scanloom("lod", "cut", slod, tmp_path / "cut.ply", "--max-shape", 0)
     assert "dropped components are not covered" in ran.stdout
     assert scanloom("lod", "tiles", slod, tmp_path / "tiles", "--json").json["one_sided"]
 
 
-def test_what_cannot_be_met_is_told(scanloom: Run, built: Path, tmp_path: Path) -> None:
+def test_a_count_below_the_coarsest_level_is_reported(scanloom: Run, built: Path, tmp_path: Path) -> None:
     ran = scanloom("lod", "cut", built, tmp_path / "o.ply", "--triangles", 3)
     assert ran.exit_code == 1
     assert "the coarsest level has" in ran.stderr
 
 
-def test_wrong_words_and_bad_files(scanloom: Run, built: Path, tmp_path: Path) -> None:
+def test_wrong_options_and_bad_files_have_exit_codes(scanloom: Run, built: Path, tmp_path: Path) -> None:
     out = tmp_path / "o.ply"
     assert scanloom("lod", "cut", built, out).exit_code == 2
     assert scanloom("lod", "cut", built, out, "--error-px", 1).exit_code == 2

@@ -1,4 +1,4 @@
-"""lod tiles on files: the tileset, the figures, and what bad input is told."""
+"""Command `lod tiles`: tileset, metrics, and messages about bad input."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ Run = Callable[..., Any]
 
 @pytest.fixture(scope="module")
 def slod(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Levels of a small sheet."""
+    """Write the levels of detail of a small sheet."""
     path = tmp_path_factory.mktemp("levels") / "sheet.slod"
     hierarchy = lod.build(sheet(16), cell_triangles=128, root_triangles=100, ratio=4.0, threads=1)
     lod.write_slod(path, hierarchy)
     return path
 
 
-def test_tiles_of_a_file(scanloom: Run, slod: Path, tmp_path: Path) -> None:
+def test_tiles_of_a_file_are_written(scanloom: Run, slod: Path, tmp_path: Path) -> None:
     target = tmp_path / "new" / "tiles"
     ran = scanloom("lod", "tiles", slod, target, "--set", "tiles.up=+z", "--json")
     assert (ran.exit_code, ran.stderr) == (0, "")
@@ -34,12 +34,12 @@ def test_tiles_of_a_file(scanloom: Run, slod: Path, tmp_path: Path) -> None:
     assert ran.json["geometric_error_m"] == root.tree["geometricError"]
     assert ran.json["grid_displacement_m"] < root.tree["geometricError"]
     assert "transform" not in root.tree
-    # Once more, over them, packed.
+    # The existing tiles are replaced by compressed tiles.
     ran = scanloom("lod", "tiles", slod, target, "--set", "tiles.compress=meshopt", "--json")
     assert (ran.exit_code, ran.stderr) == (0, "")
     assert any(b"EXT_meshopt_compression" in file.read_bytes() for file in (target / "tiles").iterdir())
     assert scanloom("lod", "tiles", slod, target, "--set", "tiles.compress=draco").exit_code == 2
-    # Once more, with the default and with words.
+    # The existing tiles are replaced with default parameters; the text output is checked.
     ran = scanloom("lod", "tiles", slod, target)
     assert ran.exit_code == 0
     assert ran.stdout.startswith(f"{target / 'tileset.json'}: {len(list(root.all()))} tiles, ")
@@ -47,7 +47,7 @@ def test_tiles_of_a_file(scanloom: Run, slod: Path, tmp_path: Path) -> None:
     assert read_tiles(target).tree["transform"][:4] == [1, 0, 0, 0]
 
 
-def test_a_page_is_written_beside_tiles(scanloom: Run, slod: Path, tmp_path: Path) -> None:
+def test_page_option_writes_a_page_next_to_the_tiles(scanloom: Run, slod: Path, tmp_path: Path) -> None:
     target = tmp_path / "tiles"
     assert scanloom("lod", "tiles", slod, target, "--page").exit_code == 0
     assert sorted(path.name for path in target.iterdir()) == ["index.html", "page", "tiles", "tileset.json"]
@@ -57,13 +57,15 @@ def test_a_page_is_written_beside_tiles(scanloom: Run, slod: Path, tmp_path: Pat
 
 @pytest.fixture(scope="module")
 def textured(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The same sheet with an image."""
+    """Write the same sheet with a texture."""
     path = tmp_path_factory.mktemp("model") / "textured.glb"
     write_mesh(path, bake(sheet(16), sheet(16)).mesh)
     return path
 
 
-def test_tiles_with_images(scanloom: Run, slod: Path, textured: Path, tmp_path: Path) -> None:
+def test_tiles_store_images_of_a_textured_model(
+    scanloom: Run, slod: Path, textured: Path, tmp_path: Path
+) -> None:
     target = tmp_path / "tiles"
     ran = scanloom(
         "lod", "tiles", slod, target, "--texture", textured, "--set", "tiles.image_format=webp", "--json"
@@ -79,7 +81,7 @@ def test_tiles_with_images(scanloom: Run, slod: Path, textured: Path, tmp_path: 
     assert all((tile.image or b"").startswith(b"\xff\xd8") for tile in read_tiles(target).all())
 
 
-def test_tiles_have_the_image_of_what_the_levels_were_built_of(
+def test_tiles_take_images_from_the_source_mesh_by_default(
     scanloom: Run, textured: Path, tmp_path: Path
 ) -> None:
     source, target = tmp_path / "m.slod", tmp_path / "tiles"
@@ -96,7 +98,7 @@ def test_tiles_have_the_image_of_what_the_levels_were_built_of(
 
 
 @pytest.mark.parametrize(
-    ("words", "code", "said"),
+    ("words", "code", "message"),
     [
         (("absent.slod", "out"), 3, "absent.slod: there is no such file."),
         (("notes.txt", "out"), 3, "notes.txt: this is not a .slod file."),
@@ -125,7 +127,7 @@ def test_tiles_have_the_image_of_what_the_levels_were_built_of(
         ),
     ],
 )
-def test_what_is_wrong_is_said_in_one_sentence(
+def test_bad_input_is_one_error_and_writes_nothing(
     scanloom: Run,
     slod: Path,
     tmp_path: Path,
@@ -133,7 +135,7 @@ def test_what_is_wrong_is_said_in_one_sentence(
     monkeypatch: pytest.MonkeyPatch,
     words: tuple[str, ...],
     code: int,
-    said: str,
+    message: str,
 ) -> None:
     monkeypatch.chdir(tmp_path)
     Path("notes.txt").write_text("These are notes, not levels of detail.")
@@ -142,12 +144,12 @@ def test_what_is_wrong_is_said_in_one_sentence(
     plain = tmp_path_factory.mktemp("plain") / "plain.ply"
     write_mesh(plain, sheet(4).with_(colors=None))
     ran = scanloom("lod", "tiles", *(word.format(slod=slod, plain=plain) for word in words))
-    said = said.format(plain=plain)
-    assert (ran.exit_code, ran.stderr, ran.stdout) == (code, f"scanloom: {said}\n", "")
+    message = message.format(plain=plain)
+    assert (ran.exit_code, ran.stderr, ran.stdout) == (code, f"scanloom: {message}\n", "")
     assert sorted(path.as_posix() for path in Path().rglob("*")) == ["full", "full/mine.txt", "notes.txt"]
 
 
-def test_a_file_that_is_cut_off_gives_no_tiles(scanloom: Run, slod: Path, tmp_path: Path) -> None:
+def test_a_truncated_file_gives_no_tiles(scanloom: Run, slod: Path, tmp_path: Path) -> None:
     short = tmp_path / "short.slod"
     short.write_bytes(slod.read_bytes()[:-1000])
     ran = scanloom("lod", "tiles", short, tmp_path / "out")

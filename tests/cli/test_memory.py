@@ -1,4 +1,4 @@
-"""Commands with less and less memory: a sentence and an exit code, and no process that is aborted."""
+"""Commands within shrinking memory limits: one sentence and an exit code, never an aborted process."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ COMMANDS = {
     "fuse": "fuse rgbd out.ply --voxel-size 0.01",
     "register": "register rgbd registered-{} --every 4",
     "depth": "depth stereo depth-{}",
-    # Every stage, on little: what each takes on its own stands above.
+    # All stages on a small scan, because the commands above cover the memory of each stage.
     "run": "run rgbd -o run-{} --set scan.every=4 --set fuse.voxel_size=0.03 --set texture.max_size=256 "
     "--set compare.samples=1000 --set report.viewpoints=1 --set report.width=100 --set report.photos=4",
 }
@@ -51,7 +51,7 @@ COMMANDS = {
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Both samples, a mesh, a light one, the record of that, a normal mesh, and levels."""
+    """Prepare both samples, a mesh, and its simplified mesh, collapse record, normal mesh and levels."""
     folder = tmp_path_factory.mktemp("memory")
     for sample in ("rgbd", "stereo"):
         (folder / sample).symlink_to(SAMPLES / sample)
@@ -71,7 +71,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def runs(folder: Path) -> Iterator[subprocess.Popen[str]]:
-    """A process that has imported all that commands import, and runs them."""
+    """Start a process that imports the libraries of all commands, then runs command lines."""
     with subprocess.Popen(
         [sys.executable, "-m", "tests.made.commands_short_of_memory"],
         env={**os.environ, "MALLOC_ARENA_MAX": "1", "PYTHONPATH": os.pathsep.join(sys.path)},
@@ -86,7 +86,7 @@ def runs(folder: Path) -> Iterator[subprocess.Popen[str]]:
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="the address space is limited as Linux does it")
 @pytest.mark.parametrize("command", COMMANDS)
-def test_too_little_memory_is_a_sentence(command: str, runs: subprocess.Popen[str]) -> None:
+def test_too_little_memory_is_one_error(command: str, runs: subprocess.Popen[str]) -> None:
     assert runs.stdin is not None
     assert runs.stdout is not None
     runs.stdin.write(f"{COMMANDS[command]}\n")

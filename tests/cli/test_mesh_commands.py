@@ -1,4 +1,4 @@
-"""clean, simplify, compare, certify and render on files: figures, files, and what bad input is told."""
+"""Commands `clean`, `simplify`, `compare`, `certify` and `render`: metrics, files, and bad input."""
 
 from __future__ import annotations
 
@@ -34,10 +34,10 @@ def test_clean_removes_the_speck_and_keeps_the_colours(scanloom: Run, ball: Path
     assert cleaned.colors is not None
 
 
-def test_clean_repairs_what_it_can_and_tells_the_rest(scanloom: Run, tmp_path: Path) -> None:
+def test_clean_repairs_defects_and_reports_the_remaining_ones(scanloom: Run, tmp_path: Path) -> None:
     source, target = tmp_path / "thin.ply", tmp_path / "out.ply"
     x, y = np.meshgrid(np.arange(6.0), np.arange(6.0))
-    # One vertex beside another inside, and one beside another on the border.
+    # Two close vertices in the interior, and two on the boundary.
     x[2, 3] = x[2, 2] + 0.005
     x[0, 3] = x[0, 2] + 0.005
     vertices = np.stack([x, y, np.zeros_like(x)], axis=-1).reshape(-1, 3)
@@ -58,7 +58,7 @@ def test_clean_repairs_what_it_can_and_tells_the_rest(scanloom: Run, tmp_path: P
     assert "needles" not in ran.stdout
 
 
-def test_simplify_keeps_within_the_bound_it_was_given(scanloom: Run, ball: Path, tmp_path: Path) -> None:
+def test_jia01_keeps_within_its_shape_bound(scanloom: Run, ball: Path, tmp_path: Path) -> None:
     clean, light = tmp_path / "clean.ply", tmp_path / "light.ply"
     scanloom("clean", ball, clean)
     ran = scanloom("simplify", clean, light, "--method", "jia01", "--max-shape", 0.05, "--triangles", 300)
@@ -68,7 +68,7 @@ def test_simplify_keeps_within_the_bound_it_was_given(scanloom: Run, ball: Path,
     assert 4 <= len(read_mesh(light).triangles) < 1280
 
 
-def test_bounds_are_proven_and_can_be_proven_again(scanloom: Run, ball: Path, tmp_path: Path) -> None:
+def test_certify_confirms_the_bounds_proven_by_simplify(scanloom: Run, ball: Path, tmp_path: Path) -> None:
     clean, light = tmp_path / "clean.ply", tmp_path / "light.ply"
     scanloom("clean", ball, clean)
     bounds = ("--max-shape", 0.05, "--max-color", 20)
@@ -99,7 +99,7 @@ def test_bounds_are_proven_and_can_be_proven_again(scanloom: Run, ball: Path, tm
     assert (broken.exit_code, broken.json["within_limits"]) == (1, False)
 
 
-def test_down_to_a_number_within_bounds(scanloom: Run, ball: Path, tmp_path: Path) -> None:
+def test_simplify_stops_at_a_triangle_count_or_at_bounds(scanloom: Run, ball: Path, tmp_path: Path) -> None:
     clean, light = tmp_path / "clean.ply", tmp_path / "light.ply"
     scanloom("clean", ball, clean)
     ran = scanloom("simplify", clean, light, "--ratio", 0.7, "--max-shape", 0.05, "--json")
@@ -115,7 +115,7 @@ def test_down_to_a_number_within_bounds(scanloom: Run, ball: Path, tmp_path: Pat
     assert ran.json["triangles"] > 5
 
 
-def test_bounds_of_triangles_are_written_with_the_mesh(scanloom: Run, ball: Path, tmp_path: Path) -> None:
+def test_bounds_per_triangle_are_written_with_the_mesh(scanloom: Run, ball: Path, tmp_path: Path) -> None:
     import trimesh
 
     clean, light, again = (tmp_path / f"{name}.ply" for name in ("clean", "light", "again"))
@@ -149,7 +149,7 @@ def test_bounds_of_triangles_are_written_with_the_mesh(scanloom: Run, ball: Path
     np.testing.assert_array_equal(read_mesh(again).triangles, read_mesh(light).triangles)
 
 
-def test_patches_are_told_and_coloured(scanloom: Run, ball: Path, tmp_path: Path) -> None:
+def test_patches_are_listed_and_coloured(scanloom: Run, ball: Path, tmp_path: Path) -> None:
     clean, light, colored = (tmp_path / name for name in ("clean.ply", "light.ply", "patches.ply"))
     scanloom("clean", ball, clean)
     bounds = ("--max-shape", 0.05)
@@ -157,24 +157,24 @@ def test_patches_are_told_and_coloured(scanloom: Run, ball: Path, tmp_path: Path
     assert metrics["method"] == "planar"
     assert metrics["details"]["shape_bound_m"] <= 0.05
     assert len(read_mesh(light).triangles) == metrics["triangles"] < 1280
-    # Those of the bound that leaves fewest triangles.
+    # The patches belong to the bound with the fewest triangles.
     assert metrics["details"]["patch_shape_m"] <= metrics["details"]["max_shape_m"] == 0.05
     bounds = ("--max-shape", metrics["details"]["patch_shape_m"])
     ran = scanloom("mesh", "patches", clean, colored, *bounds)
     assert ran.exit_code == 0, ran.stderr
     assert f"{metrics['details']['patches']:,} patches, " in ran.stdout
     assert "largest patches" in ran.stdout
-    told = scanloom("mesh", "patches", clean, colored, *bounds, "--json").json
+    result = scanloom("mesh", "patches", clean, colored, *bounds, "--json").json
     for name in ("patches", "area_m2", "largest_patches"):
-        assert told[name] == metrics["details"][name]
+        assert result[name] == metrics["details"][name]
     written = read_mesh(colored)
     assert written.colors is not None
     assert len(written.triangles) == 1280
-    assert len(np.unique(written.colors, axis=0)) <= told["patches"]
+    assert len(np.unique(written.colors, axis=0)) <= result["patches"]
 
 
-def test_simplify_says_so_when_the_bounds_cannot_be_proven(scanloom: Run, tmp_path: Path) -> None:
-    # Where a black and a white sheet touch, nobody can say which colour is the nearest.
+def test_simplify_reports_bounds_that_cannot_be_proven(scanloom: Run, tmp_path: Path) -> None:
+    # A black and a white sheet coincide, so the colour of the nearest point is ambiguous.
     source = tmp_path / "sheets.ply"
     corners = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]] * 2, float)
     triangles = np.array([[0, 1, 2], [0, 2, 3], [4, 5, 6], [4, 6, 7]], np.int32)
@@ -187,19 +187,21 @@ def test_simplify_says_so_when_the_bounds_cannot_be_proven(scanloom: Run, tmp_pa
     assert "Not proven: the requested bounds, at 4 triangles of the result and 4 of" in ran.stdout
 
 
-def test_simplify_warns_when_too_few_triangles_are_wanted(scanloom: Run, ball: Path, tmp_path: Path) -> None:
+def test_simplify_warns_about_an_unreachable_triangle_count(
+    scanloom: Run, ball: Path, tmp_path: Path
+) -> None:
     light = tmp_path / "light.ply"
     ran = scanloom("simplify", ball, light, "--triangles", 1)
     assert f"warning: {ball}: 100% of the remaining edges belong to holes" in ran.stderr
     assert "diagnostics" not in ran.stdout
     (warning,) = scanloom("simplify", ball, light, "--triangles", 1, "--json").warnings
-    # JSON names parameters as in a file, stderr as they are typed.
+    # JSON names parameters as in a configuration file, stderr names options as the user types them.
     typed = re.sub(r"\b(clean\.\w+)", r"--set \1", warning)
     assert "warning: " + typed in ran.stderr
     assert "warning" not in scanloom("simplify", ball, light, "--ratio", 0.5).stderr
 
 
-def test_simplify_to_a_count_and_back(scanloom: Run, ball: Path, tmp_path: Path) -> None:
+def test_a_collapse_record_replays_to_any_triangle_count(scanloom: Run, ball: Path, tmp_path: Path) -> None:
     clean, light, half = (tmp_path / f"{name}.ply" for name in ("clean", "light", "half"))
     record = tmp_path / "new" / "light.npz"
     scanloom("clean", ball, clean)
@@ -221,7 +223,9 @@ def test_simplify_to_a_count_and_back(scanloom: Run, ball: Path, tmp_path: Path)
     assert half.read_bytes() == light.read_bytes()
 
 
-def test_simplify_within_bounds_and_back(scanloom: Run, ball: Path, tmp_path: Path) -> None:
+def test_a_collapse_record_replays_a_bounded_simplification(
+    scanloom: Run, ball: Path, tmp_path: Path
+) -> None:
     clean, light, again = (tmp_path / f"{name}.ply" for name in ("clean", "light", "again"))
     record = tmp_path / "light.npz"
     scanloom("clean", ball, clean)
@@ -231,7 +235,7 @@ def test_simplify_within_bounds_and_back(scanloom: Run, ball: Path, tmp_path: Pa
     assert again.read_bytes() == light.read_bytes()
 
 
-def test_ctrl_c_writes_what_there_is_if_asked(
+def test_keep_on_interrupt_writes_the_mesh_simplified_so_far(
     scanloom: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     n = 400
@@ -243,10 +247,10 @@ def test_ctrl_c_writes_what_there_is_if_asked(
     write_ply(source, Mesh(hills, triangles.astype(np.int32)))
 
     @contextmanager
-    def interrupting(*_: object) -> Iterator[Progress]:
+    def interrupt_at_progress(*_: object) -> Iterator[Progress]:
         yield lambda *_: signal.raise_signal(signal.SIGINT)
 
-    monkeypatch.setattr("scanloom.cli.output.Output.progress", interrupting)
+    monkeypatch.setattr("scanloom.cli.output.Output.progress", interrupt_at_progress)
     words = ("simplify", source, target, "--ratio", 0.01)
     assert scanloom(*words).exit_code == 130
     assert not target.exists()
@@ -256,13 +260,13 @@ def test_ctrl_c_writes_what_there_is_if_asked(
     assert 0.01 * len(triangles) < len(read_mesh(target).triangles) < len(triangles)
 
 
-def test_a_mesh_may_be_replaced_by_its_clean_self(scanloom: Run, ball: Path) -> None:
+def test_clean_can_replace_its_input_file(scanloom: Run, ball: Path) -> None:
     assert scanloom("clean", ball, ball).exit_code == 0
     assert len(read_mesh(ball).triangles) == 1280
     assert [path.name for path in ball.parent.iterdir()] == ["ball.ply"]
 
 
-def test_a_mesh_compared_with_itself_is_at_no_distance(scanloom: Run, ball: Path) -> None:
+def test_the_distance_of_a_mesh_to_itself_is_zero(scanloom: Run, ball: Path) -> None:
     metrics = scanloom("compare", ball, ball, "--set", "compare.samples=1000", "--json").json
     assert metrics["distance"]["symmetric"]["maximum_m"] == pytest.approx(0, abs=1e-6)
     text = scanloom("compare", ball, ball, "--set", "compare.samples=1000").stdout
@@ -271,7 +275,7 @@ def test_a_mesh_compared_with_itself_is_at_no_distance(scanloom: Run, ball: Path
 
 
 @pytest.mark.slow
-def test_compare_is_repeatable_by_its_seed(scanloom: Run, ball: Path, tmp_path: Path) -> None:
+def test_compare_is_repeatable_for_a_seed(scanloom: Run, ball: Path, tmp_path: Path) -> None:
     light = tmp_path / "light.ply"
     scanloom("clean", ball, light)
     words = ("compare", ball, light, "--set", "compare.samples=1000", "--json")
@@ -280,7 +284,7 @@ def test_compare_is_repeatable_by_its_seed(scanloom: Run, ball: Path, tmp_path: 
     assert scanloom(*words, *one).stdout != scanloom(*words, *two).stdout
 
 
-def test_render_draws_the_ball(scanloom: Run, ball: Path, tmp_path: Path) -> None:
+def test_render_draws_the_mesh(scanloom: Run, ball: Path, tmp_path: Path) -> None:
     target = tmp_path / "ball.png"
     scanloom("clean", ball, ball)
     ran = scanloom("render", ball, target, "--width", 120, "--json")
@@ -363,7 +367,7 @@ def test_render_draws_the_ball(scanloom: Run, ball: Path, tmp_path: Path) -> Non
         (("knit",), 2, "knit"),
     ],
 )
-def test_what_is_wrong_is_said_in_one_sentence(
+def test_bad_input_is_one_error(
     scanloom: Run,
     ball: Path,
     monkeypatch: pytest.MonkeyPatch,
@@ -381,7 +385,9 @@ def test_what_is_wrong_is_said_in_one_sentence(
     assert not Path("out.ply").exists()
 
 
-def test_a_truncated_mesh_is_bad_input_and_leaves_nothing(scanloom: Run, ball: Path, tmp_path: Path) -> None:
+def test_a_truncated_mesh_is_bad_input_and_nothing_is_written(
+    scanloom: Run, ball: Path, tmp_path: Path
+) -> None:
     cut, target = tmp_path / "cut.ply", tmp_path / "out.ply"
     cut.write_bytes(ball.read_bytes()[:-50])
     ran = scanloom("clean", cut, target, "--json")
@@ -391,7 +397,7 @@ def test_a_truncated_mesh_is_bad_input_and_leaves_nothing(scanloom: Run, ball: P
     assert not target.exists()
 
 
-def test_a_mesh_that_is_not_manifold_is_split_and_a_warning_says_so(scanloom: Run, tmp_path: Path) -> None:
+def test_simplify_splits_a_non_manifold_mesh_with_a_warning(scanloom: Run, tmp_path: Path) -> None:
     fan = tmp_path / "fan.ply"
     vertices = np.array([[0, 0, 0], [0, 0, 1], [1, 0, 0], [0, 1, 0], [-1, -1, 0]], float)
     write_ply(fan, Mesh(vertices, np.array([[0, 1, 2], [0, 1, 3], [0, 1, 4]], np.int32)))
@@ -408,7 +414,7 @@ def test_debug_adds_the_traceback(scanloom: Run) -> None:
     assert "Traceback" in ran.stderr
 
 
-def test_an_unforeseen_error_is_a_sentence_too(
+def test_an_unexpected_exception_is_one_sentence(
     scanloom: Run, ball: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def fail(*_: object, **__: object) -> None:
@@ -422,7 +428,7 @@ def test_an_unforeseen_error_is_a_sentence_too(
 
 
 @pytest.mark.parametrize("suffix", [".ply", ".obj", ".off", ".glb"])
-def test_an_output_takes_the_place_of_what_a_link_leads_to(
+def test_an_output_replaces_the_target_of_a_symbolic_link(
     scanloom: Run, ball: Path, tmp_path: Path, suffix: str
 ) -> None:
     there = tmp_path / "there"
@@ -438,7 +444,7 @@ def test_an_output_takes_the_place_of_what_a_link_leads_to(
     assert {path.name for path in tmp_path.iterdir()} == {"ball.ply", "there", link.name}
 
 
-def test_images_and_materials_go_beside_the_file_that_a_link_leads_to(scanloom: Run, tmp_path: Path) -> None:
+def test_images_and_materials_are_written_next_to_the_target_of_a_link(scanloom: Run, tmp_path: Path) -> None:
     (tmp_path / "wood.png").write_bytes(cv2.imencode(".png", np.full((4, 4, 3), 90, np.uint8))[1].tobytes())
     (tmp_path / "model.mtl").write_text("newmtl wood\nmap_Kd wood.png\n")
     model = tmp_path / "model.obj"
@@ -467,7 +473,7 @@ def test_images_and_materials_go_beside_the_file_that_a_link_leads_to(scanloom: 
         (("--method", "planar"), r"deviation +at most 0\.\d+ m.* \(proven at every point\)"),
     ],
 )
-def test_simplify_prints_what_decides_if_the_mesh_can_be_used(
+def test_simplify_prints_count_size_texture_and_deviation(
     scanloom: Run, ball: Path, tmp_path: Path, words: tuple[object, ...], deviation: str
 ) -> None:
     light = tmp_path / "light.ply"
@@ -482,5 +488,5 @@ def test_simplify_prints_what_decides_if_the_mesh_can_be_used(
     )
     assert re.search(f"^{deviation}", ran.stdout, re.MULTILINE)
     assert "slack" not in ran.stdout
-    told = scanloom("simplify", ball, light, *words, "--json").json
-    assert {"collapses", "details", "refused_edges"} <= set(told)
+    result = scanloom("simplify", ball, light, *words, "--json").json
+    assert {"collapses", "details", "refused_edges"} <= set(result)

@@ -1,4 +1,4 @@
-"""remesh and decode on files: figures, files, damage, and what bad input is told."""
+"""Commands `remesh` and `decode`: metrics, files, damage, and bad input."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ SMALL = ("--levels", 2, "--base-triangles", 80)
 
 @pytest.fixture(scope="module")
 def made_kept(made_clean_ball: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A file of two levels, and remeshed.ply beside it."""
+    """Write an .snm file with two levels, and remeshed.ply next to it."""
     path = tmp_path_factory.mktemp("kept") / "kept.snm"
     words = ("mesh", "remesh", made_clean_ball, path.with_name("remeshed.ply"), *SMALL, "--save", path)
     assert run_command([str(word) for word in words]) == 0
@@ -32,12 +32,12 @@ def made_kept(made_clean_ball: Path, tmp_path_factory: pytest.TempPathFactory) -
 
 @pytest.fixture
 def kept(made_kept: Path, clean_ball: Path) -> Path:
-    """The test's own copy of both, beside the clean ball."""
+    """Copy both files for one test, next to the clean ball."""
     shutil.copy(made_kept.with_name("remeshed.ply"), clean_ball.parent)
     return Path(shutil.copy(made_kept, clean_ball.parent))
 
 
-def test_remesh_writes_the_finest_level_all_levels_and_a_file(
+def test_remesh_writes_the_finest_level_all_levels_and_an_snm_file(
     scanloom: Run, clean_ball: Path, tmp_path: Path
 ) -> None:
     target, file, folder = tmp_path / "new" / "normal.ply", tmp_path / "files" / "n.snm", tmp_path / "levels"
@@ -57,7 +57,7 @@ def test_remesh_writes_the_finest_level_all_levels_and_a_file(
     assert metrics["distance"]["symmetric"]["maximum_m"] < 0.02
 
 
-def test_the_text_has_a_row_for_each_level(scanloom: Run, clean_ball: Path, tmp_path: Path) -> None:
+def test_the_table_has_a_row_for_each_level(scanloom: Run, clean_ball: Path, tmp_path: Path) -> None:
     ran = scanloom(
         "mesh", "remesh", clean_ball, tmp_path / "out.ply", *SMALL, "--set", "remesh.max_error=1e-6"
     )
@@ -69,7 +69,7 @@ def test_the_text_has_a_row_for_each_level(scanloom: Run, clean_ball: Path, tmp_
     assert f"scanloom: {clean_ball}: the finest level is up to" in ran.stderr
 
 
-def test_decode_gives_what_was_remeshed_to_the_byte(scanloom: Run, kept: Path, tmp_path: Path) -> None:
+def test_decode_restores_the_remeshed_file_byte_for_byte(scanloom: Run, kept: Path, tmp_path: Path) -> None:
     again, coarse, folder = tmp_path / "again.ply", tmp_path / "coarse.ply", tmp_path / "levels"
     ran = scanloom("mesh", "decode", kept, again, "--save-levels", folder, "--json")
     assert ran.exit_code == 0, ran.stderr
@@ -80,7 +80,9 @@ def test_decode_gives_what_was_remeshed_to_the_byte(scanloom: Run, kept: Path, t
     assert coarse.read_bytes() == (folder / "level_1.ply").read_bytes()
 
 
-def test_a_damaged_file_gives_what_is_whole_with_a_warning(scanloom: Run, kept: Path, tmp_path: Path) -> None:
+def test_decode_returns_the_intact_levels_of_a_damaged_file_with_a_warning(
+    scanloom: Run, kept: Path, tmp_path: Path
+) -> None:
     target = tmp_path / "out.ply"
     data = kept.read_bytes()
     end = decode(data).level_ends[1]
@@ -100,7 +102,7 @@ def test_a_damaged_file_gives_what_is_whole_with_a_warning(scanloom: Run, kept: 
     assert "warning" not in scanloom("mesh", "decode", kept, target).stderr
 
 
-def test_confidence_of_a_ply_file_is_carried(scanloom: Run, tmp_path: Path) -> None:
+def test_confidence_of_a_ply_file_is_remeshed(scanloom: Run, tmp_path: Path) -> None:
     shape = trimesh.creation.icosphere(subdivisions=3)
     mesh = Mesh(np.array(shape.vertices), np.array(shape.faces, np.int32))
     source, target, file, again = (tmp_path / name for name in ("in.ply", "out.ply", "out.snm", "again.ply"))
@@ -152,7 +154,7 @@ def test_confidence_of_a_ply_file_is_carried(scanloom: Run, tmp_path: Path) -> N
         (("mesh", "decode", "kept.snm", "out.snm"), 2, "unknown file extension .snm"),
     ],
 )
-def test_what_is_wrong_is_said_in_one_sentence(
+def test_bad_input_is_one_error(
     scanloom: Run,
     kept: Path,
     monkeypatch: pytest.MonkeyPatch,
@@ -169,7 +171,7 @@ def test_what_is_wrong_is_said_in_one_sentence(
     assert not Path("out.ply").exists()
 
 
-def test_a_mesh_that_is_not_manifold_is_split_and_a_warning_says_so(scanloom: Run, tmp_path: Path) -> None:
+def test_remesh_splits_a_non_manifold_mesh_with_a_warning(scanloom: Run, tmp_path: Path) -> None:
     fan = tmp_path / "fan.ply"
     vertices = np.array([[0, 0, 0], [0, 0, 1], [1, 0, 0], [0, 1, 0], [-1, -1, 0]], float)
     write_ply(fan, Mesh(vertices, np.array([[0, 1, 2], [0, 1, 3], [0, 1, 4]], np.int32)))

@@ -1,4 +1,4 @@
-"""Options come from the parameter class: name, type, range, unit, default, text; `--set` sets the others."""
+"""Options follow the parameter class: name, type, range, unit, default and text; `--set` sets the rest."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class CableParams:
 
 @dataclass(frozen=True, kw_only=True)
 class KnittingParams:
-    """How to knit."""
+    """Parameters of knitting."""
 
     stitch_width: float = param(0.25, "Width of a stitch.", unit="m", low=0, low_open=True, common=True)
     rows: int | None = param(None, "Rows; the wool decides.", low=1, high=99, common=True)
@@ -48,7 +48,7 @@ class KnittingParams:
 
 @dataclass(frozen=True, kw_only=True)
 class WashParams:
-    """How to wash."""
+    """Parameters of washing."""
 
     warmth: float = param(30.0, "Temperature.", unit="°C", low=0, common=True)
 
@@ -118,7 +118,7 @@ def test_set_reaches_every_parameter(knit: Any) -> None:
     assert wash == {"warmth": 40.0}
 
 
-def test_the_last_of_two_assignments_counts(knit: Any) -> None:
+def test_the_last_of_two_assignments_wins(knit: Any) -> None:
     _, (_, params, _, _) = knit("sock", "--set", "knitting.gauge=2", "--set", "knitting.gauge=3")
     assert params.gauge == 3
 
@@ -132,7 +132,7 @@ def test_the_last_of_two_assignments_counts(knit: Any) -> None:
         (("--set", "gauge=1"), "write section.parameter=value"),
         (("--set", "knitting.gauge=-1"), "--set knitting.gauge is -1; it must be at least 0."),
         (("--set", "knitting.gauge=many"), "--set knitting.gauge is 'many'; it must be a number."),
-        # An option that is set is named as it was typed.
+        # A range error of an option names the option, one of --set names the parameter.
         (("--set", "knitting.rows=100"), "--set knitting.rows is 100; it must be at most 99."),
         (("--rows", "100"), "--rows is 100; it must be at most 99."),
         (("--twist", "-1"), "--twist is -1 turns; it must be at least 0 turns."),
@@ -143,7 +143,7 @@ def test_the_last_of_two_assignments_counts(knit: Any) -> None:
         ),
     ],
 )
-def test_mistakes_are_named_as_they_were_typed(knit: Any, words: tuple[str, ...], sentence: str) -> None:
+def test_mistakes_are_quoted_as_they_were_typed(knit: Any, words: tuple[str, ...], sentence: str) -> None:
     result, call = knit("sock", *words)
     assert call is None
     assert isinstance(result.exception, UsageError)
@@ -162,7 +162,7 @@ def test_advice_names_options_or_set(knit: Any) -> None:
     assert render(nested) == "odd; Give --twist=2 (see also --set fuse.voxel_size)."
 
 
-def test_two_options_of_one_name_are_refused() -> None:
+def test_two_options_with_the_same_name_are_refused() -> None:
     @dataclass(frozen=True)
     class Twice:
         twist: float = param(1.0, "Turns.", common=True)
@@ -204,12 +204,12 @@ def test_a_value_out_of_range_is_named_by_its_key(field: str, value: object, sen
     assert str(caught.value) == sentence
 
 
-def test_changes_have_only_what_was_given() -> None:
+def test_changes_contain_only_given_parameters() -> None:
     group = ParameterGroup("knitting", KnittingParams, is_changes=True)
     assert build(group, {"rows": 2, "twist": 3.0}) == {"rows": 2, "cable": {"twist": 3.0}}
 
 
-def test_a_word_where_a_number_belongs_is_wrong_usage(knit: Any) -> None:
+def test_text_in_place_of_a_number_is_wrong_usage(knit: Any) -> None:
     for words in (("--rows", "many"), ("--corner", "1", "x"), ("--corner", "1")):
         result, call = knit("sock", *words)
         assert result.exit_code == 2

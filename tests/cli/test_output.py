@@ -1,4 +1,4 @@
-"""One JSON object for programs, aligned lines with units for people."""
+"""Output: one JSON object for programs, aligned lines with units for people."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ from scanloom.stages.diagnostics.errors import (
 )
 
 
-def test_json_holds_only_what_every_reader_takes() -> None:
+def test_json_output_has_no_nan_or_infinity() -> None:
     metrics = {
         "psnr_db": float("inf"),
         "nested": {"nan": float("nan"), "list": [1.0, -float("inf")]},
@@ -54,7 +54,7 @@ def test_results_and_failures_begin_with_the_schema(scanloom: Callable[..., Any]
     assert next(iter(scanloom(*words, "--json").json.items())) == ("schema", SCHEMA)
 
 
-def test_bounds_are_rounded_up_and_what_was_found_down() -> None:
+def test_bounds_are_rounded_up_and_attained_values_down() -> None:
     metrics = {
         "shape_bound_m": 0.00500001,
         "shape_attained_m": 0.00499999,
@@ -71,7 +71,7 @@ def test_bounds_are_rounded_up_and_what_was_found_down() -> None:
     ]
 
 
-def test_lines_for_a_person_carry_units() -> None:
+def test_text_output_has_units() -> None:
     metrics = {
         "voxel_size_m": 0.0123456,
         "triangles": 1234567,
@@ -97,7 +97,7 @@ def test_lines_for_a_person_carry_units() -> None:
     ]
 
 
-def test_json_output_is_alone_on_stdout_and_stderr_is_silent(capsys: pytest.CaptureFixture[str]) -> None:
+def test_json_is_alone_on_stdout_and_stderr_is_empty(capsys: pytest.CaptureFixture[str]) -> None:
     out = Output(as_json=True)
     out.remark("working")
     with out.progress("work") as progress:
@@ -108,7 +108,7 @@ def test_json_output_is_alone_on_stdout_and_stderr_is_silent(capsys: pytest.Capt
     assert captured.err == ""
 
 
-def test_no_bar_where_stderr_is_not_a_terminal(capsys: pytest.CaptureFixture[str]) -> None:
+def test_no_progress_bar_without_a_terminal(capsys: pytest.CaptureFixture[str]) -> None:
     with Output().progress("work") as progress:
         progress(1, 2)
     assert capsys.readouterr().err == ""
@@ -148,22 +148,22 @@ def test_every_kind_of_failure_has_its_exit_code(error: BaseException, exit_code
         ),
     ],
 )
-def test_a_lack_of_memory_is_explained(error: Exception) -> None:
+def test_out_of_memory_errors_are_explained(error: Exception) -> None:
     assert is_out_of_memory(error)
     failure = explain_failure(error)
     assert failure.exit_code == 1
     assert "memory" in failure.sentence
 
 
-def test_an_error_in_another_text_is_no_lack_of_memory() -> None:
+def test_a_syntax_error_of_foreign_text_is_not_out_of_memory() -> None:
     assert not is_out_of_memory(SyntaxError("expected ':'", ("<string>", 1, 1, "")))
 
 
-def test_a_library_that_is_loaded_too_late_is_no_lack_of_memory() -> None:
+def test_exhausted_static_tls_is_not_out_of_memory() -> None:
     assert not is_out_of_memory(ImportError("libx.so: cannot allocate memory in static TLS block"))
 
 
-def test_an_unforeseen_error_is_called_our_bug_in_one_line() -> None:
+def test_an_unexpected_exception_is_reported_as_a_bug_in_one_line() -> None:
     failure = explain_bug(KeyError("a\nb"))
     assert failure.exit_code == 1
     assert "bug in scanloom" in failure.sentence
@@ -172,18 +172,18 @@ def test_an_unforeseen_error_is_called_our_bug_in_one_line() -> None:
     assert "\n" not in failure.sentence
 
 
-def test_a_message_that_quotes_a_long_file_leaves_out_its_middle() -> None:
-    said = to_one_line(f"mesh.ply: its format is {'{' * 1_000_000!r}; ascii is known.")
-    assert len(said) < 2100
-    assert said.startswith("mesh.ply: its format")
-    assert said.endswith("ascii is known.")
+def test_the_middle_of_a_very_long_message_is_omitted() -> None:
+    message = to_one_line(f"mesh.ply: its format is {'{' * 1_000_000!r}; ascii is known.")
+    assert len(message) < 2100
+    assert message.startswith("mesh.ply: its format")
+    assert message.endswith("ascii is known.")
 
 
 NAMES = ("\x1b]0;owned\x07", "\x9b2J", "a\rb", "a\u202eb", "\x08\x08", "\u2028")
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_control_characters_of_names_reach_no_terminal(capsys: pytest.CaptureFixture[str], name: str) -> None:
+def test_control_characters_of_names_are_escaped(capsys: pytest.CaptureFixture[str], name: str) -> None:
     out = Output()
     out.remark(f"room {name}: read")
     out.report(MACHINE_BUG.warning("the frame {frame} is odd", name, frame=name))

@@ -1,4 +1,4 @@
-"""Output that nobody sees on a terminal says at least every half minute that work goes on."""
+"""Without a terminal, progress is printed as lines, at least every 30 seconds."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from scanloom.cli.transient_progress import TransientProgress
 Run = Callable[..., Any]
 
 
-def test_lines_come_without_a_word_from_the_work(
+def test_progress_lines_appear_without_progress_calls(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(progress_lines, "INTERVAL_S", 0.02)
@@ -32,7 +32,9 @@ def test_lines_come_without_a_word_from_the_work(
     assert capsys.readouterr().err == ""
 
 
-def test_a_remark_ends_the_lines(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_remark_ends_the_progress_lines(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
     monkeypatch.setattr(progress_lines, "INTERVAL_S", 0.02)
     out = Output()
     bar = TransientProgress(out)
@@ -45,7 +47,7 @@ def test_a_remark_ends_the_lines(monkeypatch: pytest.MonkeyPatch, capsys: pytest
     assert lines[-1] == "done"
 
 
-def test_a_run_says_which_stage_starts(scanloom: Run, tiny_scan: Path, tmp_path: Path) -> None:
+def test_a_run_announces_each_stage_that_starts(scanloom: Run, tiny_scan: Path, tmp_path: Path) -> None:
     words = ("run", tiny_scan, "-o", tmp_path / "out", "--until", "fuse")
     lines = scanloom(*words).stderr.splitlines()
     assert "fuse: started (first run)" in lines

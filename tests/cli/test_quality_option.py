@@ -1,4 +1,4 @@
-"""--quality: what it prints, what it makes, and what it says where a file is in its way."""
+"""Option `--quality`: printed values, effect on a run, and conflicts with a configuration file."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from scanloom.pipeline.quality_presets import QUALITIES
 Run = Callable[..., Any]
 
 
-def test_config_prints_what_a_quality_sets(scanloom: Run) -> None:
+def test_config_prints_the_values_of_a_quality(scanloom: Run) -> None:
     for quality, values in QUALITIES.items():
         text = scanloom("config", "--quality", quality).stdout
         comment, _, rest = text.partition("quality = ")
@@ -24,7 +24,7 @@ def test_config_prints_what_a_quality_sets(scanloom: Run) -> None:
         assert Config.loads(text) == Config.from_quality(quality)
 
 
-def test_another_word_is_wrong_usage(scanloom: Run, tiny_scan: Path, tmp_path: Path) -> None:
+def test_an_unknown_quality_is_wrong_usage(scanloom: Run, tiny_scan: Path, tmp_path: Path) -> None:
     ran = scanloom("run", tiny_scan, "-o", tmp_path / "out", "--quality", "bests")
     assert (ran.exit_code, ran.stderr) == (
         2,
@@ -32,7 +32,7 @@ def test_another_word_is_wrong_usage(scanloom: Run, tiny_scan: Path, tmp_path: P
     )
 
 
-def test_what_a_file_keeps_from_the_quality_is_told(scanloom: Run, tmp_path: Path) -> None:
+def test_values_of_a_file_that_override_the_quality_are_reported(scanloom: Run, tmp_path: Path) -> None:
     file = tmp_path / "f.toml"
     file.write_text(scanloom("config", "--all").stdout)
     ran = scanloom("config", "--check", file, "--quality", "draft")
@@ -46,7 +46,7 @@ def test_what_a_file_keeps_from_the_quality_is_told(scanloom: Run, tmp_path: Pat
 
 
 @pytest.mark.slow
-def test_a_draft_is_coarser_and_standard_is_what_there_was(
+def test_draft_is_coarser_and_standard_equals_the_default(
     scanloom: Run, tiny_scan: Path, tmp_path: Path
 ) -> None:
     words = ("run", tiny_scan, "-o", tmp_path / "out", "--set", "report.page=false", "--json")
@@ -70,7 +70,7 @@ WORDS = [("config",), ("run", "samples", "-o", "out"), ("batch", "samples", "-o"
 
 
 @pytest.mark.parametrize("words", WORDS)
-def test_an_empty_word_is_no_quality(scanloom: Run, words: tuple[str, ...]) -> None:
+def test_an_empty_quality_is_refused(scanloom: Run, words: tuple[str, ...]) -> None:
     ran = scanloom(*words, "--quality", "")
     assert ran.exit_code == 2
     assert ran.stderr == "scanloom: --quality is ''; it must be one of draft, standard, best.\n"

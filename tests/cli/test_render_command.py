@@ -1,4 +1,4 @@
-"""render on files: labels, scale bar, side by side, free views, videos; and what has no effect is refused."""
+"""Command `render`: labels, scale bar, side by side, free views, videos, and refused options."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ import pytest
 Run = Callable[..., Any]
 
 
-def image(path: Path) -> np.ndarray:
+def read_image(path: Path) -> np.ndarray:
     return np.asarray(cv2.imread(str(path))).astype(int)
 
 
-def test_labels_and_scale_bar_are_drawn_over_the_same_picture(
+def test_labels_and_scale_bar_are_drawn_over_the_same_image(
     scanloom: Run, clean_ball: Path, tmp_path: Path
 ) -> None:
     plain, worded = tmp_path / "plain.png", tmp_path / "worded.png"
@@ -27,8 +27,8 @@ def test_labels_and_scale_bar_are_drawn_over_the_same_picture(
         "render", clean_ball, worded, *words, "--set", "picture.labels=files", "--scale-bar", "--json"
     )
     assert ran.exit_code == 0, ran.stderr
-    assert image(plain).shape == (200, 240, 3)
-    changed = (image(plain) != image(worded)).any(axis=2)
+    assert read_image(plain).shape == (200, 240, 3)
+    changed = (read_image(plain) != read_image(worded)).any(axis=2)
     assert changed[:30].any()
     assert changed[170:].any()
     assert not changed[40:150, 130:].any()
@@ -36,7 +36,7 @@ def test_labels_and_scale_bar_are_drawn_over_the_same_picture(
     assert ran.json["scale_bar_at_m"] > ran.json["scale_bar_m"]
 
 
-def test_two_are_drawn_beside_one_another_from_one_viewpoint(
+def test_two_meshes_are_drawn_side_by_side_from_one_viewpoint(
     scanloom: Run, clean_ball: Path, tmp_path: Path
 ) -> None:
     target, alone = tmp_path / "both.png", tmp_path / "alone.png"
@@ -44,18 +44,18 @@ def test_two_are_drawn_beside_one_another_from_one_viewpoint(
     assert ran.exit_code == 0, ran.stderr
     scanloom("render", clean_ball, alone, "--width", 100)
     np.testing.assert_array_equal(
-        image(target), np.hstack([image(alone), np.full((75, 8, 3), 255), image(alone)])
+        read_image(target), np.hstack([read_image(alone), np.full((75, 8, 3), 255), read_image(alone)])
     )
     named = scanloom(
         "render", clean_ball, clean_ball, target, "--width", 100, "--set", "picture.labels=A | B"
     )
     assert named.exit_code == 0, named.stderr
-    left, right = image(target)[:, :100], image(target)[:, 108:]
-    assert (left != image(alone)).any()
+    left, right = read_image(target)[:, :100], read_image(target)[:, 108:]
+    assert (left != read_image(alone)).any()
     assert (left != right).any()
 
 
-def test_a_free_view_and_a_turntable(scanloom: Run, clean_ball: Path, tmp_path: Path) -> None:
+def test_a_free_view_and_a_turntable_are_rendered(scanloom: Run, clean_ball: Path, tmp_path: Path) -> None:
     free, video = tmp_path / "free.png", tmp_path / "turn.mp4"
     ran = scanloom("render", clean_ball, free, "--width", 64, "--eye", 0, 0, 9, "--look", 0, 0, 0, "--json")
     assert (ran.exit_code, ran.json["viewpoint"]) == (0, "free")
@@ -79,7 +79,7 @@ def test_a_free_view_and_a_turntable(scanloom: Run, clean_ball: Path, tmp_path: 
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "message"),
     [
         (("out.png",), "one or more mesh files"),
         (("ball.ply", "out.png", "--eye", "0", "0", "1"), "both --eye and --look"),
@@ -96,10 +96,10 @@ def test_a_free_view_and_a_turntable(scanloom: Run, clean_ball: Path, tmp_path: 
         (("ball.ply", "out.png", "--scan", ".", "--set", "picture.height=90"), "cameras of --scan"),
     ],
 )
-def test_what_has_no_effect_is_refused(
-    scanloom: Run, ball: Path, monkeypatch: pytest.MonkeyPatch, words: tuple[str, ...], said: str
+def test_options_without_effect_are_refused(
+    scanloom: Run, ball: Path, monkeypatch: pytest.MonkeyPatch, words: tuple[str, ...], message: str
 ) -> None:
     monkeypatch.chdir(ball.parent)
     ran = scanloom("render", *words)
-    assert (ran.exit_code, said in ran.stderr) == (2, True), ran.stderr
+    assert (ran.exit_code, message in ran.stderr) == (2, True), ran.stderr
     assert not list(ball.parent.glob("out.*"))

@@ -1,4 +1,4 @@
-"""run, config, cache and the whole program: what is cached, what reruns, what Ctrl-C leaves."""
+"""Commands `run`, `config` and `cache`: caching, reruns, interruption, and help."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ Run = Callable[..., Any]
 SCANLOOM = [sys.executable, "-m", "scanloom.cli.app"]
 
 
-def states(ran: Any) -> dict[str, str]:
-    """Whether each stage was cached or run."""
+def list_states(ran: Any) -> dict[str, str]:
+    """List for each stage if it was cached or run."""
     return {name: "cached" if stage["cached"] else "run" for name, stage in ran.json["stages"].items()}
 
 
-def test_a_scan_becomes_a_mesh_and_a_second_run_is_all_cached(
+def test_a_repeated_run_is_cached_and_a_parameter_reruns_its_stages(
     scanloom: Run, tiny_scan: Path, tmp_path: Path
 ) -> None:
     small_report = (
@@ -55,25 +55,25 @@ def test_a_scan_becomes_a_mesh_and_a_second_run_is_all_cached(
     first = scanloom(*words)
     assert first.exit_code == 0, first.stderr
     assert first.stderr == ""
-    assert set(states(first).values()) == {"run"}
+    assert set(list_states(first).values()) == {"run"}
     for name in ("fused.ply", "clean.ply", "simplified.ply", "report.json"):
         assert (tmp_path / "out" / name).is_file()
 
-    assert set(states(scanloom(*words)).values()) == {"cached"}
+    assert set(list_states(scanloom(*words)).values()) == {"cached"}
 
-    changed = states(scanloom(*words, "--set", "simplify.max_shape=0.02"))
+    changed = list_states(scanloom(*words, "--set", "simplify.max_shape=0.02"))
     assert (changed["fuse"], changed["clean"], changed["simplify"]) == ("cached", "cached", "run")
 
-    said = scanloom(*(word for word in words if word != "--json"), "--set", "simplify.ratio=0.5").stderr
+    message = scanloom(*(word for word in words if word != "--json"), "--set", "simplify.ratio=0.5").stderr
     assert re.search(
-        r"^simplify .* triangles, stopped by triangles; a level of colour .* m \(", said, re.MULTILINE
+        r"^simplify .* triangles, stopped by triangles; a level of colour .* m \(", message, re.MULTILINE
     )
 
-    forced = states(scanloom(*words, "--set", "simplify.max_shape=0.02", "--set", "run.force=clean"))
+    forced = list_states(scanloom(*words, "--set", "simplify.max_shape=0.02", "--set", "run.force=clean"))
     assert (forced["fuse"], forced["clean"]) == ("cached", "run")
 
 
-def test_a_person_gets_a_line_a_stage_and_the_place_of_the_results(
+def test_text_output_has_a_line_per_stage_and_the_output_folder(
     scanloom: Run, tiny_scan: Path, tmp_path: Path
 ) -> None:
     words = (
@@ -95,13 +95,13 @@ def test_a_person_gets_a_line_a_stage_and_the_place_of_the_results(
     assert scanloom(*words, "--quiet").stderr == ""
 
 
-def test_inspect_says_what_was_found(scanloom: Run, tiny_scan: Path) -> None:
+def test_inspect_reports_layout_and_frame_count(scanloom: Run, tiny_scan: Path) -> None:
     text = scanloom("inspect", tiny_scan).stdout
     assert "plain-rgbd" in text
     assert scanloom("inspect", tiny_scan, "--json").json["frames"] == 6
 
 
-def test_a_recording_goes_the_whole_way(scanloom: Run, tmp_path: Path) -> None:
+def test_a_recording_is_fused_with_given_poses(scanloom: Run, tmp_path: Path) -> None:
     rows, columns = np.mgrid[:48, :64]
     depth = (900 + 40 * np.sin(columns / 9) + 30 * np.cos(rows / 7)).astype(np.uint16)
     gray = (128 + 60 * np.sin(columns / 3) * np.cos(rows / 4)).astype(np.uint8)
@@ -138,7 +138,7 @@ def test_a_recording_goes_the_whole_way(scanloom: Run, tmp_path: Path) -> None:
     assert ran.json["stages"]["fuse"]["metrics"]["triangles"] > 1000
 
 
-def test_a_damaged_frame_is_left_out_and_told(scanloom: Run, tiny_scan: Path, tmp_path: Path) -> None:
+def test_a_damaged_frame_is_skipped_and_reported_once(scanloom: Run, tiny_scan: Path, tmp_path: Path) -> None:
     folder = tmp_path / "scan"
     shutil.copytree(tiny_scan, folder)
     depth = folder / "depth-3.png"
@@ -158,13 +158,12 @@ def test_a_damaged_frame_is_left_out_and_told(scanloom: Run, tiny_scan: Path, tm
     assert re.search(
         r"^warning: fuse: 1 frame skipped; the first is 3: .*depth-3\.png", ran.stderr, re.MULTILINE
     )
-    # Said once.
     assert ran.stderr.count("depth-3.png") == 1
     metrics = scanloom(*words, "--json").json["stages"]["fuse"]["metrics"]
     assert [skipped["frame"] for skipped in metrics["frames_skipped"]] == ["3"]
 
 
-def test_scan_options_reach_run_as_they_do_inspect(scanloom: Run, tiny_scan: Path, tmp_path: Path) -> None:
+def test_run_accepts_the_scan_options_of_inspect(scanloom: Run, tiny_scan: Path, tmp_path: Path) -> None:
     assert scanloom("inspect", tiny_scan, "--set", "scan.first=2", "--every", 2, "--json").json["frames"] == 2
     words = (
         "run",
@@ -184,7 +183,7 @@ def test_scan_options_reach_run_as_they_do_inspect(scanloom: Run, tiny_scan: Pat
     assert "both --every and --set scan.every are given; omit one of them." in twice.stderr
 
 
-def test_advice_names_the_option_to_type(scanloom: Run, tiny_scan: Path, tmp_path: Path) -> None:
+def test_a_remedy_names_the_option_as_typed(scanloom: Run, tiny_scan: Path, tmp_path: Path) -> None:
     folder = tmp_path / "lost"
     shutil.copytree(tiny_scan, folder)
     scan = json.loads((folder / "scan.json").read_text())
@@ -196,9 +195,7 @@ def test_advice_names_the_option_to_type(scanloom: Run, tiny_scan: Path, tmp_pat
     assert "--poses=FILE" in ran.stderr
 
 
-def test_inspect_says_what_there_is_beside_what_is_missing(
-    scanloom: Run, tiny_scan: Path, tmp_path: Path
-) -> None:
+def test_inspect_lists_present_and_missing_data(scanloom: Run, tiny_scan: Path, tmp_path: Path) -> None:
     folder = tmp_path / "lost"
     for name in ("color", "depth"):
         (folder / name).mkdir(parents=True)
@@ -219,7 +216,7 @@ def test_inspect_says_what_there_is_beside_what_is_missing(
 
 
 @pytest.mark.slow
-def test_poses_taken_the_wrong_way_stop_fuse(scanloom: Run, shared_data: Path, tmp_path: Path) -> None:
+def test_inverted_poses_stop_fuse(scanloom: Run, shared_data: Path, tmp_path: Path) -> None:
     poses = tmp_path / "inverse.txt"
     scan = shared_data / "rgbd" / "tabletop_box_realsense"
     given = sorted(scan.glob("*.pose.txt"))
@@ -237,7 +234,7 @@ def test_poses_taken_the_wrong_way_stop_fuse(scanloom: Run, shared_data: Path, t
     assert scanloom(*words, "--voxel-size", 0.02, "--set", "scan.check_poses=false").exit_code == 0
 
 
-def test_fuse_and_the_stages_after_it_work_on_files(scanloom: Run, tiny_scan: Path, tmp_path: Path) -> None:
+def test_fuse_and_clean_work_on_files(scanloom: Run, tiny_scan: Path, tmp_path: Path) -> None:
     fused, clean = tmp_path / "fused.ply", tmp_path / "clean.ply"
     ran = scanloom("fuse", tiny_scan, fused, "--voxel-size", "0.02", "--json")
     assert ran.exit_code == 0, ran.stderr
@@ -245,7 +242,7 @@ def test_fuse_and_the_stages_after_it_work_on_files(scanloom: Run, tiny_scan: Pa
     assert scanloom("clean", fused, clean).exit_code == 0
 
 
-def test_depth_leaves_a_folder_that_fuse_reads(scanloom: Run, tmp_path: Path) -> None:
+def test_depth_writes_a_folder_that_fuse_reads(scanloom: Run, tmp_path: Path) -> None:
     pairs = Path(__file__).parents[2] / "samples" / "stereo"
     ran = scanloom("depth", pairs, tmp_path / "depth", "--set", "scan.last=1", "--json")
     assert ran.exit_code == 0, ran.stderr
@@ -281,7 +278,7 @@ def test_depth_leaves_a_folder_that_fuse_reads(scanloom: Run, tmp_path: Path) ->
         (("cache", "ls"), 2, "SCANLOOM_CACHE"),
     ],
 )
-def test_what_is_wrong_is_said_in_one_sentence(
+def test_bad_input_is_one_error_in_text_and_json(
     scanloom: Run,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
@@ -303,18 +300,18 @@ def test_what_is_wrong_is_said_in_one_sentence(
     assert sorted(path.name for path in tmp_path.iterdir()) == ["empty", "file"]
 
 
-def test_a_folder_of_no_known_layout_is_told_what_is_known(scanloom: Run, tmp_path: Path) -> None:
+def test_an_unknown_layout_lists_the_known_ones(scanloom: Run, tmp_path: Path) -> None:
     (tmp_path / "holiday.txt").write_text("sun")
     ran = scanloom("inspect", tmp_path)
     assert ran.exit_code == 3
     assert ran.stderr.startswith(f"scanloom: {tmp_path}: unknown layout.")
-    # A list of lines, as it was, comes out with its line breaks written out.
+    # Line breaks of a message would be escaped.
     assert "\\n" not in ran.stderr
     assert len(ran.stderr) < 1000
     assert "plain-rgbd" in ran.stderr
 
 
-def test_a_command_that_is_missing_is_asked_for(scanloom: Run) -> None:
+def test_a_missing_subcommand_is_reported(scanloom: Run) -> None:
     ran = scanloom("cache")
     assert (ran.exit_code, ran.stderr) == (2, "scanloom: Missing command. See `scanloom cache --help`.\n")
     bare = scanloom()
@@ -322,14 +319,14 @@ def test_a_command_that_is_missing_is_asked_for(scanloom: Run) -> None:
     assert "inspect" in bare.stdout
 
 
-def test_depth_that_cannot_be_leaves_no_folder(scanloom: Run, tiny_scan: Path, tmp_path: Path) -> None:
+def test_depth_of_an_unsuitable_scan_leaves_no_folder(scanloom: Run, tiny_scan: Path, tmp_path: Path) -> None:
     ran = scanloom("depth", tiny_scan, tmp_path / "depth")
     assert ran.exit_code == 3
     assert "stereo" in ran.stderr
     assert list(tmp_path.iterdir()) == []
 
 
-def test_the_printed_config_is_the_defaults(scanloom: Run, tmp_path: Path) -> None:
+def test_the_printed_configuration_equals_the_defaults(scanloom: Run, tmp_path: Path) -> None:
     file = tmp_path / "defaults.toml"
     file.write_text(scanloom("config", "--all").stdout)
     assert Config.load(file) == Config()
@@ -378,7 +375,7 @@ COMMANDS = [
 
 
 @pytest.mark.parametrize("command", COMMANDS, ids=" ".join)
-def test_help_teaches_with_an_example(scanloom: Run, command: tuple[str, ...]) -> None:
+def test_help_shows_an_example(scanloom: Run, command: tuple[str, ...]) -> None:
     ran = scanloom(*command, "--help")
     assert ran.exit_code == 0
     assert f"\n  scanloom {' '.join(command)}" in ran.stdout
@@ -401,7 +398,7 @@ def test_help_of_a_stage_names_unit_and_default_of_every_option(scanloom: Run, c
         assert ("default: " in facts) == (get_default(cls, name) is not None), name
 
 
-def test_an_option_that_only_set_has_is_named(scanloom: Run) -> None:
+def test_an_unknown_option_that_is_a_parameter_is_reported_with_its_set_form(scanloom: Run) -> None:
     ran = scanloom("fuse", "scan", "out.ply", "--truncation", 0.1)
     assert ran.exit_code == 2
     assert "No such option: --truncation; use --set fuse.truncation=VALUE. See" in ran.stderr
@@ -410,15 +407,15 @@ def test_an_option_that_only_set_has_is_named(scanloom: Run) -> None:
 
 
 @pytest.mark.slow
-def test_the_installed_program_knows_its_version() -> None:
+def test_the_installed_program_prints_its_version() -> None:
     ran = subprocess.run([*SCANLOOM, "--help"], capture_output=True, text=True, check=True)
     assert "inspect" in ran.stdout
     version = subprocess.run([*SCANLOOM, "--version"], capture_output=True, text=True, check=True)
     assert re.fullmatch(r"scanloom \d+\.\d+\.\d+\nkernels \S+ [0-9a-f]{12}\n", version.stdout)
 
 
-def test_the_version_needs_no_import_of_the_command_line() -> None:
-    # Parsing takes over a second on a slow machine, as typer, NumPy and all commands are imported for it.
+def test_version_imports_no_command_line_modules() -> None:
+    # Importing typer, NumPy and all commands to parse the options takes over a second on a slow machine.
     code = (
         "import sys; sys.argv = ['scanloom', '--version']\n"
         "from scanloom.cli.start import main; main()\n"
@@ -437,7 +434,7 @@ def test_help_imports_no_heavy_library() -> None:
     assert ran.stdout.splitlines()[-1] == "[]"
 
 
-def test_a_reader_that_leaves_early_causes_no_traceback() -> None:
+def test_a_closed_pipe_causes_no_traceback() -> None:
     program = subprocess.Popen([*SCANLOOM, "config"], stdout=subprocess.PIPE, stderr=subprocess.PIPE)
     assert program.stdout is not None
     assert program.stderr is not None
@@ -448,7 +445,7 @@ def test_a_reader_that_leaves_early_causes_no_traceback() -> None:
 
 
 @pytest.mark.slow
-def test_ctrl_c_ends_a_run_with_130_and_leaves_nothing_half_made(tiny_scan: Path, tmp_path: Path) -> None:
+def test_ctrl_c_exits_with_130_and_leaves_no_partial_files(tiny_scan: Path, tmp_path: Path) -> None:
     out, cache = tmp_path / "out", tmp_path / "cache"
     words = ["run", str(tiny_scan), "-o", str(out), "--set", f"run.cache={cache}"]
     program = subprocess.Popen([*SCANLOOM, *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
@@ -464,9 +461,7 @@ def test_ctrl_c_ends_a_run_with_130_and_leaves_nothing_half_made(tiny_scan: Path
     assert [path for path in cache.rglob("*") if path.is_dir() and path.name not in ("drafts", "runs")] == []
 
 
-def test_a_dry_run_says_what_would_be_done_and_writes_nothing(
-    scanloom: Run, tiny_scan: Path, tmp_path: Path
-) -> None:
+def test_a_dry_run_prints_its_plan_and_writes_nothing(scanloom: Run, tiny_scan: Path, tmp_path: Path) -> None:
     words = ("run", tiny_scan, "-o", tmp_path / "out", "--dry-run")
     ran = scanloom(*words)
     assert (ran.exit_code, ran.stderr) == (0, "")
@@ -503,8 +498,10 @@ def test_a_dry_run_says_what_would_be_done_and_writes_nothing(
 
 
 @pytest.mark.slow
-def test_a_run_leaves_a_page_that_is_its_own(scanloom: Run, tiny_scan: Path, tmp_path: Path) -> None:
-    # Pictures are none of the page's.
+def test_the_page_of_a_run_is_written_updated_and_removed(
+    scanloom: Run, tiny_scan: Path, tmp_path: Path
+) -> None:
+    # The page does not need the images of the report.
     quick = ("--set", "report.pictures=false", "--set", "compare.samples=1000")
     words = ("run", tiny_scan, "-o", tmp_path / "out", *quick)
     assert scanloom(*words, "--set", "report.page=false").exit_code == 0
@@ -516,17 +513,18 @@ def test_a_run_leaves_a_page_that_is_its_own(scanloom: Run, tiny_scan: Path, tmp
     assert 1_000_000 < page.stat().st_size < 5_000_000
     text = page.read_text()
     assert all(f'"{name}"' in text for name in ("result", "refined mesh", "deviation"))
-    # Nothing has changed: it stays.
+    # Without changes the page is not rewritten.
     before = page.stat().st_mtime_ns
     assert scanloom(*words).exit_code == 0
     assert page.stat().st_mtime_ns == before
     assert scanloom(*words, "--set", "simplify.ratio=0.5").exit_code == 0
     assert page.stat().st_mtime_ns != before
     assert "proven bound for all points" not in page.read_text()
-    # What is proven stands beside what was sampled.
+    # The page shows the proven bound next to the sampled deviation.
     assert scanloom(*words, "--set", "simplify.max_shape=0.02").exit_code == 0
     assert "proven bound for all points" in page.read_text()
-    # Of another result none stays, also where all of it is cached; asked for again, it is there again.
+    # Without `report.page` the page of an earlier result is removed, even if every stage is cached; with it,
+    # the page is written again.
     assert scanloom(*words, "--set", "report.page=false").exit_code == 0
     assert not page.exists()
     back = scanloom(*words, "--set", "report.page=true", "--json")
@@ -536,7 +534,7 @@ def test_a_run_leaves_a_page_that_is_its_own(scanloom: Run, tiny_scan: Path, tmp
     assert not page.exists()
     assert scanloom(*words, "--set", "report.enabled=false", "--set", "report.enabled=true").exit_code == 0
     assert scanloom(*words, "--set", "report.page_size=1.3").exit_code == 0
-    # Not less than before to the byte: the page tells seconds, and their digits.
+    # The size varies by a few bytes, because the page contains run times.
     assert page.stat().st_size <= 1_300_000
     page.write_text("mine")
     refused = scanloom(*words, "--set", "simplify.ratio=0.4")
@@ -548,7 +546,7 @@ def test_a_run_leaves_a_page_that_is_its_own(scanloom: Run, tiny_scan: Path, tmp
     assert page.read_text() != "mine"
 
 
-def test_a_crop_is_typed_as_numbers_and_told_in_the_metrics(
+def test_a_crop_is_given_as_numbers_and_reported_in_the_metrics(
     scanloom: Run, tiny_scan: Path, tmp_path: Path
 ) -> None:
     words = ("fuse", tiny_scan, tmp_path / "ball.ply", "--voxel-size", 0.02)
@@ -559,21 +557,21 @@ def test_a_crop_is_typed_as_numbers_and_told_in_the_metrics(
     assert ran.exit_code == 0, ran.stderr
     crop = ran.json["crop"]
     assert (crop["box_m"], crop["center_m"], crop["radius_m"]) == (list(box), [0, 0, 0.9], 0.6)
-    # The wall is behind, at 1.2 m.
+    # The wall at 1.2 m is outside the crop.
     assert ran.json["highest_m"][2] < 1.0
 
     inspected = scanloom("inspect", tiny_scan, "--json").json["scene"]
     assert inspected["highest_m"][2] == pytest.approx(1.2, abs=0.01)
     assert inspected["lowest_m"][2] == pytest.approx(0.76, abs=0.02)
-    said = scanloom("inspect", tiny_scan).stdout
+    message = scanloom("inspect", tiny_scan).stdout
     assert re.search(
-        r"^extent    \(-0\.\d+, -0\.\d+, 0\.\d+\) to \(0\.\d+, 0\.\d+, 1\.2\) m, ", said, re.MULTILINE
+        r"^extent    \(-0\.\d+, -0\.\d+, 0\.\d+\) to \(0\.\d+, 0\.\d+, 1\.2\) m, ", message, re.MULTILINE
     )
-    assert re.search(r"^looks at  \(.*\) m, the centre of view$", said, re.MULTILINE)
+    assert re.search(r"^looks at  \(.*\) m, the centre of view$", message, re.MULTILINE)
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
+    ("words", "message"),
     [
         (("--box", 0, 0, 0, 1, 1), "Option '--box' requires 6 arguments"),
         (("--box", 1, 0, 0, 0, 1, 1), "--box is 1 0 0 0 1 1 m; the first three numbers must be the lowest"),
@@ -581,16 +579,16 @@ def test_a_crop_is_typed_as_numbers_and_told_in_the_metrics(
         (("--set", "fuse.radius=0"), "--set fuse.radius is 0 m; it must be more than 0 m."),
     ],
 )
-def test_a_crop_that_is_none_is_wrong_usage(
-    scanloom: Run, tiny_scan: Path, tmp_path: Path, words: tuple[object, ...], said: str
+def test_an_empty_or_malformed_crop_is_wrong_usage(
+    scanloom: Run, tiny_scan: Path, tmp_path: Path, words: tuple[object, ...], message: str
 ) -> None:
     ran = scanloom("fuse", tiny_scan, tmp_path / "ball.ply", *words)
     assert ran.exit_code == 2
-    assert said in ran.stderr
+    assert message in ran.stderr
     assert not (tmp_path / "ball.ply").exists()
 
 
-def test_a_plane_that_is_not_found_is_a_warning(scanloom: Run, tiny_scan: Path, tmp_path: Path) -> None:
+def test_a_missing_plane_is_a_warning(scanloom: Run, tiny_scan: Path, tmp_path: Path) -> None:
     ran = scanloom(
         "fuse", tiny_scan, tmp_path / "ball.ply", "--voxel-size", 0.02, "--remove-plane", "--strict"
     )

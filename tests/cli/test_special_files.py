@@ -1,4 +1,4 @@
-"""Pipes, devices, sockets, links without end and impossible names are one sentence, and nothing blocks."""
+"""Pipes, devices, sockets, circular links and invalid names give one error, and no command blocks."""
 
 from __future__ import annotations
 
@@ -39,8 +39,8 @@ COMMANDS = (
 KINDS = ("pipe", "socket", "device", "log", "loop", "missing", "long", "null")
 
 
-def special(kind: str, extension: str) -> str:
-    """Return the path of such a file in the current folder."""
+def make_special_file(kind: str, extension: str) -> str:
+    """Make a special file in the current folder and return its path."""
     path = Path(f"special{extension}")
     match kind:
         case "pipe":
@@ -65,7 +65,7 @@ def special(kind: str, extension: str) -> str:
 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize(("extension", "command"), COMMANDS)
-def test_no_special_file_blocks_or_is_a_bug(
+def test_no_special_file_blocks_or_counts_as_a_bug(
     scanloom: Callable[..., Any],
     monkeypatch: pytest.MonkeyPatch,
     tmp_path: Path,
@@ -78,7 +78,7 @@ def test_no_special_file_blocks_or_is_a_bug(
     monkeypatch.chdir(tmp_path)
     (tmp_path / "scan").symlink_to(tiny_scan)
     shutil.copy(made_ball, "ball.ply")
-    name = special(kind, extension)
+    name = make_special_file(kind, extension)
     done = scanloom(*(word.format(name) for word in command.split()))
     assert done.exit_code in (2, 3), done.stderr
     assert "bug in scanloom" not in done.stderr

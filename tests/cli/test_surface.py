@@ -22,7 +22,7 @@ MAX_LINES, MAX_SUMMARY = 40, 55
 Run = Callable[..., Any]
 
 
-def commands() -> Iterator[tuple[str, Any]]:
+def list_commands() -> Iterator[tuple[str, Any]]:
     for name, command in get_command(app()).commands.items():  # type: ignore[attr-defined]
         if name in GROUPS:
             yield from ((f"{name} {own}", below) for own, below in command.commands.items())
@@ -30,7 +30,7 @@ def commands() -> Iterator[tuple[str, Any]]:
             yield name, command
 
 
-def options_of(command: Any) -> list[str]:
+def list_options(command: Any) -> list[str]:
     return [one.opts[0] for one in command.params if one.param_type_name == "option"]
 
 
@@ -42,12 +42,14 @@ def test_there_are_few_commands() -> None:
 
 
 def test_every_command_has_few_options() -> None:
-    own = {name: set(options_of(command)) - COMMON for name, command in commands()}
+    own = {name: set(list_options(command)) - COMMON for name, command in list_commands()}
     assert {name: few for name, few in own.items() if len(few) > MAX_OWN_OPTIONS} == {}
 
 
 def test_there_are_few_options() -> None:
-    count = len(options_of(get_command(app()))) + sum(len(options_of(command)) for _, command in commands())
+    count = len(list_options(get_command(app()))) + sum(
+        len(list_options(command)) for _, command in list_commands()
+    )
     assert count <= MAX_OPTIONS
 
 
@@ -64,35 +66,35 @@ def test_the_help_of_a_command_fits_the_terminal(
     scanloom: Run, monkeypatch: pytest.MonkeyPatch, columns: int
 ) -> None:
     monkeypatch.setenv("COLUMNS", str(columns))
-    for name, _ in commands():
+    for name, _ in list_commands():
         lines = scanloom(*name.split(), "--help").stdout.splitlines()
-        # Examples stay in one line, so that they can be copied.
+        # Examples stay on one line, so that they can be copied.
         assert [one for one in lines if len(one) > columns and not one.startswith("  scanloom ")] == []
         assert "  scanloom " in "\n".join(lines), name
 
 
 def test_summaries_are_short() -> None:
-    summaries = {name: command.help.split("\n")[0] for name, command in commands()}
+    summaries = {name: command.help.split("\n")[0] for name, command in list_commands()}
     assert {name: one for name, one in summaries.items() if len(one) > MAX_SUMMARY} == {}
     assert all(one.endswith(".") for one in summaries.values())
 
 
-def test_the_help_says_how_to_list_all_parameters(scanloom: Run) -> None:
-    for name, command in commands():
+def test_the_help_ends_with_the_command_that_lists_all_parameters(scanloom: Run) -> None:
+    for name, command in list_commands():
         last = scanloom(*name.split(), "--help").stdout.splitlines()[-1]
-        assert ("--set" in options_of(command)) == last.startswith(
+        assert ("--set" in list_options(command)) == last.startswith(
             "Parameters for --set: scanloom config "
         ), name
         words = last.partition("scanloom config ")[2].split() if "--set" in last else []
         assert set(words) <= {*all_sections(), "--all"}
 
 
-def test_every_section_of_a_run_has_its_parameters_listed(scanloom: Run) -> None:
+def test_config_lists_the_parameters_of_every_section(scanloom: Run) -> None:
     for section in all_sections():
         ran = scanloom("config", section)
         assert ran.exit_code == 0
         assert f"[{section}]" in ran.stdout
-    # Only those of a run can be in a file.
+    # Only sections of a run can be in a configuration file.
     text = scanloom("config", *all_sections()).stdout
     assert Config.loads(text) == Config()
 
@@ -112,7 +114,7 @@ def test_config_prints_common_parameters(scanloom: Run) -> None:
     assert (ran.exit_code, ran.stderr) == (2, "scanloom: there is no section 'fuze'; did you mean fuse?\n")
 
 
-def test_a_command_of_a_group_is_found(scanloom: Run) -> None:
+def test_a_command_without_its_group_is_reported_with_the_group(scanloom: Run) -> None:
     ran = scanloom("certify", "a.ply", "b.ply")
     assert ran.exit_code == 2
     assert ran.stderr.startswith("scanloom: No such command 'certify'; use scanloom mesh certify.")

@@ -1,4 +1,4 @@
-"""tradeoff on files: the table, the plot, the mesh that is suggested; and run --plot."""
+"""Command `tradeoff`: table, plot and suggested mesh; and `run --plot`."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Run = Callable[..., Any]
 FEW = ("--set", "tradeoff.steps=4", "--set", "tradeoff.samples=500")
 
 
-def test_a_table_and_a_suggestion(scanloom: Run, clean_ball: Path) -> None:
+def test_tradeoff_prints_a_table_and_a_suggestion(scanloom: Run, clean_ball: Path) -> None:
     ran = scanloom("mesh", "tradeoff", clean_ball, *FEW, "--set", "tradeoff.glb_bytes=true")
     assert ran.exit_code == 0, ran.stderr
     lines = ran.stdout.splitlines()
@@ -24,7 +24,7 @@ def test_a_table_and_a_suggestion(scanloom: Run, clean_ball: Path) -> None:
     assert lines[-1].startswith("suggested: ")
 
 
-def test_everything_that_can_be_kept(scanloom: Run, clean_ball: Path, tmp_path: Path) -> None:
+def test_plot_mesh_and_record_are_saved(scanloom: Run, clean_ball: Path, tmp_path: Path) -> None:
     new = tmp_path / "new"
     kept = ("--plot", new / "c.png", "--save", new / "light.ply", "--save-record", new / "r.npz")
     ran = scanloom(
@@ -38,7 +38,7 @@ def test_everything_that_can_be_kept(scanloom: Run, clean_ball: Path, tmp_path: 
     assert (new / "c.png").stat().st_size > 10_000
 
 
-def test_a_distance_that_no_number_keeps_is_not_reached(scanloom: Run, clean_ball: Path) -> None:
+def test_an_unreachable_distance_exits_with_1(scanloom: Run, clean_ball: Path) -> None:
     ran = scanloom(
         "mesh",
         "tradeoff",
@@ -55,7 +55,7 @@ def test_a_distance_that_no_number_keeps_is_not_reached(scanloom: Run, clean_bal
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("words", "message"),
     [
         (("--counts", "5,x"), "--counts has 'x'; give whole numbers, such as 50000,20000,5000."),
         (("--counts", "0"), "counts contains 0; a triangle count must be at least 1."),
@@ -63,14 +63,16 @@ def test_a_distance_that_no_number_keeps_is_not_reached(scanloom: Run, clean_bal
         (("--set", "tradeoff.steps=1"), "--set tradeoff.steps is 1"),
     ],
 )
-def test_wrong_words(scanloom: Run, clean_ball: Path, words: tuple[str, ...], told: str) -> None:
+def test_wrong_options_are_reported(
+    scanloom: Run, clean_ball: Path, words: tuple[str, ...], message: str
+) -> None:
     ran = scanloom("mesh", "tradeoff", clean_ball, *words)
     assert ran.exit_code == 2
-    assert told in ran.stderr
+    assert message in ran.stderr
 
 
 @pytest.mark.slow
-def test_run_draws_how_long_its_stages_took(scanloom: Run, tiny_scan: Path, tmp_path: Path) -> None:
+def test_run_plots_the_duration_of_its_stages(scanloom: Run, tiny_scan: Path, tmp_path: Path) -> None:
     words = (
         "run",
         tiny_scan,

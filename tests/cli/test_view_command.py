@@ -1,4 +1,4 @@
-"""view: tiles served to the browser of this machine, until Ctrl-C."""
+"""Command `view`: serves tiles to a browser on the same machine until Ctrl-C."""
 
 from __future__ import annotations
 
@@ -41,16 +41,16 @@ def test_tiles_without_a_page_are_shown_and_nothing_is_written(tmp_path: Path) -
     assert sorted(tmp_path.rglob("*")) == before
 
 
-def test_for_programs_the_address_is_json_and_a_browser_is_opened_where_asked(
+def test_json_has_the_address_and_open_starts_a_browser(
     scanloom: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     from scanloom.pipeline.report.page.folder_server import FolderServer
 
-    def interrupted(self: FolderServer) -> None:  # noqa: ARG001
+    def raise_interrupt(self: FolderServer) -> None:  # noqa: ARG001
         raise KeyboardInterrupt
 
     asked: list[str] = []
-    monkeypatch.setattr(FolderServer, "serve_forever", interrupted)
+    monkeypatch.setattr(FolderServer, "serve_forever", raise_interrupt)
     monkeypatch.setattr("webbrowser.open_new_tab", asked.append)
     (tmp_path / "tileset.json").write_text("{}")
     ran = scanloom("view", tmp_path, "--json", "--open")
@@ -61,7 +61,7 @@ def test_for_programs_the_address_is_json_and_a_browser_is_opened_where_asked(
 
 
 @pytest.mark.parametrize(
-    ("words", "code", "said"),
+    ("words", "code", "message"),
     [
         (("absent",), 3, "absent: there is no such file or folder."),
         (
@@ -72,11 +72,11 @@ def test_for_programs_the_address_is_json_and_a_browser_is_opened_where_asked(
         (("empty", "--port", "70000"), 2, "less than or equal to 65535"),
     ],
 )
-def test_what_is_wrong_is_said_in_one_sentence(
+def test_bad_input_is_one_error(
     scanloom: Run,
     words: tuple[str, ...],
     code: int,
-    said: str,
+    message: str,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -84,11 +84,11 @@ def test_what_is_wrong_is_said_in_one_sentence(
     Path("empty").mkdir()
     ran = scanloom("view", *words)
     assert ran.exit_code == code
-    assert said in ran.stderr
+    assert message in ran.stderr
     assert len(ran.stderr.splitlines()) == 1
 
 
-def test_a_page_of_a_mesh_is_one_file(scanloom: Run, clean_ball: Path, tmp_path: Path) -> None:
+def test_the_page_of_a_mesh_is_a_single_file(scanloom: Run, clean_ball: Path, tmp_path: Path) -> None:
     target = tmp_path / "new" / "page.html"
     ran = scanloom("view", clean_ball, "-o", target, "--json")
     assert ran.exit_code == 0, ran.stderr
@@ -109,7 +109,7 @@ def test_a_page_of_a_mesh_is_one_file(scanloom: Run, clean_ball: Path, tmp_path:
         (("tiles", "-o", "page.html"), 2, "tiles cannot be written as a single file"),
     ],
 )
-def test_what_cannot_be_shown(
+def test_input_that_cannot_be_shown_is_reported(
     scanloom: Run,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,

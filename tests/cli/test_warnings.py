@@ -1,4 +1,4 @@
-"""What changes a result is told whatever is silenced, in one line, and in JSON; --strict makes it count."""
+"""Warnings: printed even with --quiet, on one line, also in JSON, and counted by --strict."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ Run = Callable[..., Any]
 
 
 @pytest.fixture
-def odd_scan(tiny_scan: Path, tmp_path: Path) -> Path:
-    """A scan whose times are odd: two frames have the same."""
+def scan_with_repeated_time(tiny_scan: Path, tmp_path: Path) -> Path:
+    """Copy the tiny scan, with the same timestamp for two frames."""
     folder = tmp_path / "scan"
     shutil.copytree(tiny_scan, folder)
     document = json.loads((folder / "scan.json").read_text())
@@ -39,7 +39,7 @@ def odd_scan(tiny_scan: Path, tmp_path: Path) -> Path:
 
 @pytest.fixture
 def faces(tmp_path: Path) -> Path:
-    """A PLY file with colours of its faces alone, which are not used."""
+    """Write a PLY file with face colours, which are not used."""
     path = tmp_path / "faces.ply"
     path.write_text(
         "ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\n"
@@ -50,7 +50,7 @@ def faces(tmp_path: Path) -> Path:
 
 
 @pytest.mark.parametrize("switches", [(), ("--quiet",), ("--json",), ("--quiet", "--json")])
-def test_a_warning_is_told_whatever_is_silenced(
+def test_a_warning_is_printed_even_with_quiet(
     scanloom: Run, faces: Path, tmp_path: Path, switches: tuple[str, ...]
 ) -> None:
     ran = scanloom("clean", faces, tmp_path / "out.ply", *switches)
@@ -73,7 +73,7 @@ def test_strict_counts_warnings_and_writes_the_result(scanloom: Run, faces: Path
     assert scanloom("clean", target, target, "--strict").exit_code == 0
 
 
-def test_that_polygons_became_triangles_is_only_remarked(scanloom: Run, tmp_path: Path) -> None:
+def test_splitting_polygons_is_an_info_message(scanloom: Run, tmp_path: Path) -> None:
     square = tmp_path / "square.obj"
     square.write_text("v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nf 1 2 3 4\n")
     words = ("clean", square, tmp_path / "out.ply", "--strict")
@@ -82,14 +82,14 @@ def test_that_polygons_became_triangles_is_only_remarked(scanloom: Run, tmp_path
     assert (quiet.exit_code, quiet.stderr) == (0, "")
 
 
-def test_colours_that_a_format_cannot_hold_are_warned_of(scanloom: Run, ball: Path, tmp_path: Path) -> None:
+def test_a_format_without_colours_warns(scanloom: Run, ball: Path, tmp_path: Path) -> None:
     ran = scanloom("clean", ball, tmp_path / "out.stl", "--quiet")
     assert ran.exit_code == 0
     assert ran.stderr.startswith(f"warning: {tmp_path / 'out.stl'}: .stl stores geometry only")
     assert scanloom("clean", ball, tmp_path / "out.obj", "--quiet").stderr == ""
 
 
-def test_textures_that_a_method_leaves_out_are_warned_of(scanloom: Run, tmp_path: Path) -> None:
+def test_a_method_that_discards_parts_warns(scanloom: Run, tmp_path: Path) -> None:
     model = tmp_path / "parts.obj"
     rows = "".join(f"v {x} {y} 0\n" for y in range(3) for x in range(3))
     quads = [(a, a + 1, a + 4, a + 3) for a in (1, 2, 4, 5)]
@@ -102,30 +102,38 @@ def test_textures_that_a_method_leaves_out_are_warned_of(scanloom: Run, tmp_path
     )
 
 
-def test_what_is_odd_about_a_scan_is_told_by_every_command_that_reads_it(
-    scanloom: Run, odd_scan: Path, tmp_path: Path
+def test_every_command_that_reads_a_scan_prints_its_warnings(
+    scanloom: Run, scan_with_repeated_time: Path, tmp_path: Path
 ) -> None:
     odd = "1 timestamps are repeated"
     cache = ("--set", f"run.cache={tmp_path / 'cache'}", "--until", "fuse")
     for words in (
-        ("fuse", odd_scan, tmp_path / "fused.ply"),
-        ("run", odd_scan, "-o", tmp_path / "out", *cache),
-        ("render", tmp_path / "fused.ply", tmp_path / "p.png", "--scan", odd_scan, "--width", 64),
+        ("fuse", scan_with_repeated_time, tmp_path / "fused.ply"),
+        ("run", scan_with_repeated_time, "-o", tmp_path / "out", *cache),
+        (
+            "render",
+            tmp_path / "fused.ply",
+            tmp_path / "p.png",
+            "--scan",
+            scan_with_repeated_time,
+            "--width",
+            64,
+        ),
     ):
         ran = scanloom(*words, "--quiet", "--json")
         assert ran.exit_code == 0, ran.stderr
         assert odd in ran.warnings, words
         assert f"warning: {odd}" in ran.stderr.splitlines()
         assert scanloom(*words, "--strict").exit_code == 1
-    ran = scanloom("inspect", odd_scan, "--json", "--strict")
+    ran = scanloom("inspect", scan_with_repeated_time, "--json", "--strict")
     assert ran.exit_code == 1
     assert odd in ran.warnings
-    # There it is the answer, and not said twice.
-    assert f"warning: {odd}" not in scanloom("inspect", odd_scan).stderr
-    assert odd in scanloom("inspect", odd_scan).stdout
+    # In `inspect` the warning is part of the result, so stderr does not repeat it.
+    assert f"warning: {odd}" not in scanloom("inspect", scan_with_repeated_time).stderr
+    assert odd in scanloom("inspect", scan_with_repeated_time).stdout
 
 
-def test_json_has_warnings_also_where_there_are_none(scanloom: Run, clean_ball: Path, tmp_path: Path) -> None:
+def test_json_has_an_empty_list_of_warnings(scanloom: Run, clean_ball: Path, tmp_path: Path) -> None:
     light = tmp_path / "light.ply"
     for words in (
         ("clean", clean_ball, light),
@@ -140,16 +148,16 @@ def test_json_has_warnings_also_where_there_are_none(scanloom: Run, clean_ball: 
 
 
 @pytest.mark.filterwarnings("default")
-def test_what_a_library_warns_of_is_a_line_too(
+def test_a_warning_of_a_library_is_printed_on_one_line(
     scanloom: Run, ball: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     cleaned = stages.clean
 
-    def warning_of(*given: Any) -> Any:
+    def clean_with_warning(*given: Any) -> Any:
         warnings.warn("overflow\nin a library", RuntimeWarning, stacklevel=1)
         return cleaned(*given)
 
-    monkeypatch.setattr("scanloom.stages.clean", warning_of)
+    monkeypatch.setattr("scanloom.stages.clean", clean_with_warning)
     ran = scanloom("clean", ball, tmp_path / "out.ply", "--quiet", "--strict", "--json")
     assert ran.exit_code == 1
     assert ran.warnings == ["overflow\nin a library"]
@@ -158,7 +166,7 @@ def test_what_a_library_warns_of_is_a_line_too(
     assert len(ran.stderr.splitlines()) == 2
 
 
-def test_a_message_is_one_line_whatever_a_file_is_called(scanloom: Run, faces: Path, tmp_path: Path) -> None:
+def test_line_breaks_in_file_names_are_escaped(scanloom: Run, faces: Path, tmp_path: Path) -> None:
     odd = tmp_path / "two\nlines\x1b[31m.ply"
     shutil.copy(faces, odd)
     ran = scanloom("clean", odd, tmp_path / "out.ply")
@@ -170,7 +178,9 @@ def test_a_message_is_one_line_whatever_a_file_is_called(scanloom: Run, faces: P
     assert missing.stderr.splitlines() == [f"scanloom: {tmp_path}/no\\nsuch.ply: there is no such file."]
 
 
-def test_a_warning_is_told_once_and_what_was_not_reached_too(capsys: pytest.CaptureFixture[str]) -> None:
+def test_repeated_warnings_and_unmet_requirements_are_printed_once(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
     out = Output(quiet=True, can_warn=True)
     for _ in range(2):
         out.report(MACHINE_BUG.warning("odd"))
@@ -181,22 +191,22 @@ def test_a_warning_is_told_once_and_what_was_not_reached_too(capsys: pytest.Capt
     assert out.exit_code == 1
 
 
-def test_a_mesh_without_colours_loses_none(scanloom: Run, tmp_path: Path) -> None:
+def test_a_format_without_colours_does_not_warn_for_a_plain_mesh(scanloom: Run, tmp_path: Path) -> None:
     plain = tmp_path / "plain.ply"
     write_ply(plain, Mesh(np.eye(3), np.array([[0, 1, 2]], np.int32)))
     assert scanloom("clean", plain, tmp_path / "out.stl", "--quiet", "--strict").stderr == ""
 
 
-def test_that_another_run_is_waited_for_is_said_at_once_and_only_remarked(
+def test_waiting_for_another_run_is_reported_at_once_unless_quiet(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    for quiet, said in ((False, ["waits"]), (True, [])):
+    for quiet, message in ((False, ["waits"]), (True, [])):
         with show_run_progress(Output(quiet=quiet)) as events:
             events(RunWaiting("waits"))
-            assert capsys.readouterr().err.splitlines() == said
+            assert capsys.readouterr().err.splitlines() == message
 
 
-def test_parameters_are_options_and_stages_are_named() -> None:
+def test_messages_name_options_and_stages() -> None:
     about = UsageError(
         MACHINE_BUG, "is {value}.", DiagnosticLocation(parameter="voxel_size"), value=0
     ).diagnostic

@@ -13,17 +13,6 @@ from typing import NamedTuple
 ROOT = Path(__file__).resolve().parents[2]
 CODE_FOLDERS = ("stages", "pipeline", "cli", "scanloom", "benches", "docs", "samples", "packaging", "kernels")
 IGNORED_FOLDERS = {"node_modules", "target", "__pycache__"}
-# Tests whose texts are not yet checked.
-UNCHECKED_TESTS = (
-    "campaign",
-    "cli",
-    "pipeline/batch",
-    "stages/files",
-    "stages/lod",
-    "stages/normal_meshes",
-    "stages/simplification",
-    "stages/surface/formats",
-)
 # Directives for tools, which are no prose.
 DIRECTIVE = re.compile(r"#(!| ?type:| ?noqa| ?ruff:| ?mypy:)")
 
@@ -45,20 +34,11 @@ def list_files(suffix: str) -> list[Path]:
     return sorted(path for path in found if not IGNORED_FOLDERS.intersection(path.relative_to(ROOT).parts))
 
 
-def list_test_files() -> list[Path]:
-    """List the Python files of tests whose texts are checked."""
-    tests = ROOT / "tests"
-    unchecked = [tests / folder for folder in UNCHECKED_TESTS]
-    return sorted(
-        path for path in tests.rglob("*.py") if not any(path.is_relative_to(one) for one in unchecked)
-    )
-
-
 def read_texts() -> Iterator[Text]:
     """Read every text that the check of phrases covers."""
     for path in list_files(".py"):
         yield from _read_python(path, "docstrings", "comments")
-    for path in list_test_files():
+    for path in sorted((ROOT / "tests").rglob("*.py")):
         yield from _read_python(path, "docstrings of tests", "comments of tests")
     for path in list_files(".rs"):
         for line, text in _read_rust_comments(path.read_text(encoding="utf-8")):

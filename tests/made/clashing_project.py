@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-# The script prints the folder of scanloom and the content of its own modules.
+# The script prints the folder of scanloom and the content of the modules of the project.
 CODE = "script.py"
 _SCRIPT = """
 import cli, pipeline.steps, stages

@@ -83,7 +83,7 @@ def test_thread_count_keeps_the_cache(toy, scan, out):
         ("count.exact=no", ["count"], "params changed: exact True → False"),
     ],
 )
-def test_changed_parameter_reruns_its_stage_and_what_follows(toy, scan, out, assignment, expected, reason):
+def test_a_changed_parameter_reruns_its_stage_and_later_stages(toy, scan, out, assignment, expected, reason):
     # `mode` leaves the bytes of cut.bin unchanged, so count does not run again.
     outcomes = toy.run(scan, out, assignment)
     assert list_computed(outcomes) == expected

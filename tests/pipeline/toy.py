@@ -26,7 +26,7 @@ from scanloom.stages.scans.model.scan import Camera, Frame, Scan
 
 @dataclass(frozen=True, kw_only=True)
 class MixParams:
-    """Mix the frames."""
+    """Parameters of mixing the frames."""
 
     gain: float = param(0.5, "How much of the earlier frames stays.", low=0, high=1)
     threads: int = param(1, "Threads to use.", low=1, invalidates=False)
@@ -48,7 +48,7 @@ class SoftParams:
 
 @dataclass(frozen=True, kw_only=True)
 class CutParams:
-    """Cut off the far part."""
+    """Parameters of cutting off distant depth."""
 
     far: float | None = param(None, "Far limit; by default the mean.", unit="m", low=0, low_open=True)
     mode: str = param("hard", "How to cut.", choices=("hard", "soft"))
@@ -60,7 +60,7 @@ class CutParams:
 
 @dataclass(frozen=True, kw_only=True)
 class CountParams:
-    """Count what is left."""
+    """Parameters of counting the remaining pixels."""
 
     bins: int = param(4, "Bins of the histogram.", low=1, high=64)
     exact: bool = param(True, "Count every pixel.")

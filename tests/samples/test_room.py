@@ -64,7 +64,7 @@ def test_poses_have_the_noise_of_a_tracker(room, scans: Path):
         assert 0 < np.linalg.norm(frame.world_from_camera[:3, 3] - pose[:3, 3]) < 0.015
 
 
-def test_warped_depth_is_too_long_and_bent(room, scans: Path):
+def test_warped_depth_is_scaled_and_bent(room, scans: Path):
     plain, warped = (read_depth(read_scan(scans / name).frames[0]) for name in ("plain", "warped"))
     both = (plain > 0) & (warped > 0)
     ratio = np.where(both, warped / np.where(both, plain, 1), np.nan)

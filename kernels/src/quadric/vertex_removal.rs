@@ -276,7 +276,7 @@ impl<const D: usize, const K: usize> PassMesh<'_, D, K> {
 
     /// Compute the error of the collapse of a vertex into each of its neighbours.
     ///
-    /// The errors are those of the quadric of the current triangles, with the vertex as the origin. Its linear
+    /// The quadric of the current triangles gives the errors, with the vertex as the origin. Its linear
     /// term and its constant are then zero. Single precision suffices to compare errors.
     fn compute_errors(&self, centre: u32, ring: &Ring) -> [f32; MAX_VALENCE] {
         let own = &self.mesh.points[centre as usize];

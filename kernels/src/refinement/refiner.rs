@@ -196,7 +196,7 @@ impl Refiner {
             limit_move(&self.origins[v], to, self.max_moves[v])
         });
         self.undo_folds();
-        // The normals of the filtered surface tell from where it was seen; those of the input are too noisy.
+        // Viewing angles are measured from normals of the filtered surface; input normals are too noisy.
         self.best_cosines = self.observations.iter().map(|one| one.best_cosine).collect();
         self.start_observing();
     }

@@ -96,8 +96,8 @@ pub struct SeamMeasure<'a, const D: usize, const K: usize> {
     pub(super) moved: Vec<MovedCorner<D>>,
     pub(super) summaries: Vec<VertexSummary>,
     pub(super) is_seam: Vec<bool>,
-    /// By vertex: set of touching vertices that must stay together; see [`super::welding`]. Empty if there are
-    /// none.
+    /// By vertex: set of touching vertices that must stay together; see [`super::welding`]. Empty without
+    /// touching vertices.
     pub(super) touching: Vec<u32>,
     /// Touching vertices, sorted by set.
     pub(super) touching_vertices: Vec<(u32, VertexId)>,

@@ -78,7 +78,7 @@ class VertexColormap:
 class PageModelSource(NamedTuple):
     """Source of a page model before packing; see `PageModel`.
 
-    The alternative colourings are up to MOST_PAINTS `colormaps`, by name, and the vertex colours of a
+    The alternative colourings are up to MAX_COLORMAPS `colormaps`, by name, and the vertex colours of a
     textured mesh. `full_triangle_count` is the triangle count before coarsening; 0 if not coarsened.
     """
 

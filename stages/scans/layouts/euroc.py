@@ -134,7 +134,7 @@ def _read_stream(camera: Path) -> dict[int, Path]:
 
 
 def _read_accelerometer(mav: Path, body_from_left: Pose) -> Accelerometer | None:
-    """Read the accelerometer of imu0, or return None if there is none.
+    """Read the accelerometer of imu0; None if it does not exist.
 
     At rest, its readings point up.
     """

@@ -168,10 +168,7 @@ def _find_pairs(
 
 
 def _list_side_by_side_images(folder: Path) -> list[Path]:
-    """Return the side-by-side images of the folder or a subfolder.
-
-    Empty if there are none.
-    """
+    """List the side-by-side images of the folder or a subfolder."""
     places = (folder, *(folder / name for name in _SIDE_BY_SIDE_FOLDERS if (folder / name).is_dir()))
     return next((found for place in places if is_side_by_side(found := list_images(place))), [])
 

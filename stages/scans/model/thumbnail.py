@@ -26,7 +26,7 @@ def render_thumbnail(photos: Sequence[Any]) -> bytes | None:
 
     Parameters
     ----------
-    photos : colour images of frames: paths, `Packed` images, or (h, w, 3) uint8.
+    photos : colour images of frames: paths, `PackedImage`, or (h, w, 3) uint8.
 
     Raises
     ------

@@ -106,7 +106,7 @@ class CollapseRecord:
 
         Returns
         -------
-        Replayed
+        ReplayedMesh
 
         Raises
         ------

@@ -70,7 +70,7 @@ def simplify_in_order(
 
     Returns
     -------
-    result : Simplified
+    result : SimplificationResult
     provable : metres; the bound of `distance_bound`, or the smallest provable distance if that is larger.
     """
     mesh, params, lock = task.mesh, task.params, task.lock

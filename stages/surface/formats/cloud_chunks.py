@@ -50,7 +50,7 @@ class CloudChunkWriter:
         Raises
         ------
         InputError
-            If the total exceeds the size of the file or MOST_POINTS.
+            If the total exceeds the size of the file or MAX_POINTS.
         """
         self._declared_points += points
         if self._declared_points > _MAX_POINTS_PER_BYTE * self._path.stat().st_size:

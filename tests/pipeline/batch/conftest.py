@@ -11,7 +11,7 @@ from scanloom.pipeline.batch.job_queue import BatchQueue, BatchSettings, create_
 
 @pytest.fixture(scope="session")
 def small_scans(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Four small scans, and a fifth that cannot be read."""
+    """Write four small scans, and a fifth that cannot be read."""
     folder = tmp_path_factory.mktemp("many") / "scans"
     for number in range(4):
         write_small_scan(folder / f"scan-{number}", number)
@@ -22,9 +22,14 @@ def small_scans(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def queue_of(tmp_path: Path) -> Callable[..., BatchQueue]:
-    """Begin a batch of the scans in a folder; they go as far as `adjust`, for which little is imported."""
+    """Return a function that creates a queue for the scans in a folder.
 
-    def begin(folder: Path, *, until: str = "adjust", take_over_after: float = 60.0) -> BatchQueue:
+    The stages end with `adjust` by default, which imports little.
+    """
+
+    def create_test_queue(
+        folder: Path, *, until: str = "adjust", take_over_after: float = 60.0
+    ) -> BatchQueue:
         settings = BatchSettings("", until, take_over_after=take_over_after)
         out = tmp_path / "out"
         jobs = make_jobs([(place, place.name) for place in sorted(folder.iterdir())], out)
@@ -32,4 +37,4 @@ def queue_of(tmp_path: Path) -> Callable[..., BatchQueue]:
         assert queue is not None
         return queue
 
-    return begin
+    return create_test_queue

@@ -1,4 +1,4 @@
-"""A batch by Dask: a real scheduler and workers, one killed in the middle of a job; another job hangs."""
+"""Batch with Dask: a real scheduler and workers, one killed during a job; another job hangs."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ pytestmark = pytest.mark.slow
 WORDS = ("--quiet", "--until", "clean", "--set", "worker.worker_timeout=2")
 
 
-def started(*words: object, **environment: str) -> subprocess.Popen[str]:
+def start_module(*words: object, **environment: str) -> subprocess.Popen[str]:
     return subprocess.Popen(
         [sys.executable, "-m", *map(str, words)],
         stdout=subprocess.PIPE,
@@ -43,16 +43,18 @@ def started(*words: object, **environment: str) -> subprocess.Popen[str]:
 
 @pytest.fixture
 def scheduler(tmp_path: Path) -> Iterator[str]:
-    """The address of a scheduler with two workers, of one thread each."""
+    """Start a scheduler with two single-threaded workers, and return its address."""
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         address = f"tcp://127.0.0.1:{probe.getsockname()[1]}"
     port = address.rpartition(":")[2]
     words = ("--nthreads", 1, "--no-dashboard", "--local-directory", tmp_path / "dask")
     running = [
-        started("distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--port", port, "--no-dashboard")
+        start_module(
+            "distributed.cli.dask_scheduler", "--host", "127.0.0.1", "--port", port, "--no-dashboard"
+        )
     ]
-    running += [started("distributed.cli.dask_worker", address, *words) for _ in range(2)]
+    running += [start_module("distributed.cli.dask_worker", address, *words) for _ in range(2)]
     yield address
     for one in reversed(running):
         one.terminate()
@@ -60,13 +62,13 @@ def scheduler(tmp_path: Path) -> Iterator[str]:
         one.communicate(timeout=60)
 
 
-def worker_at_work(hook: Path, deadline: float) -> int:
-    """Return the process of a worker of Dask that waits for a job it has started, which knows the hook."""
+def find_busy_worker(hook: Path, deadline: float) -> int:
+    """Find the process of a Dask worker with a running job of this test, identified by its hook."""
     while time.monotonic() < deadline:
         for folder in Path("/proc").glob("[0-9]*"):
             try:
                 is_job = b"scanloom.pipeline.batch.dask_task" in (folder / "cmdline").read_bytes()
-                # Other tests have jobs, too.
+                # Other tests run jobs as well.
                 is_job = is_job and bytes(hook) in (folder / "environ").read_bytes()
                 parent = re.search(r"PPid:\s*(\d+)", (folder / "status").read_text())
             except OSError:
@@ -79,7 +81,10 @@ def worker_at_work(hook: Path, deadline: float) -> int:
 
 @pytest.fixture
 def hung(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Where a job that hangs, the fifth, notes its processes; before the workers start, which start jobs."""
+    """Make the fifth job hang, and return the file that lists its processes.
+
+    Workers start jobs, so this fixture is used before `scheduler`.
+    """
     variables = make_hanging_environment(
         tmp_path / "hook", "scan-0004/depth-2.png", "adjust", tmp_path / "out" / "cache"
     )
@@ -88,20 +93,18 @@ def hung(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path / "hook" / "hung"
 
 
-def test_a_worker_that_is_killed_and_a_job_that_hangs_lose_nothing(
-    hung: Path, scheduler: str, tmp_path: Path
-):
+def test_a_killed_worker_and_a_hanging_job_lose_no_scan(hung: Path, scheduler: str, tmp_path: Path):
     scans, out = write_small_scans(tmp_path / "scans", 5), tmp_path / "out"
     (scans / "scan-0003" / "scan.json").write_text("{")
-    # Others tell something sooner, however busy the machine is.
+    # Other jobs report progress in less than 20 s, even on a busy machine.
     words = (*WORDS, "--set", "worker.timeout=20", "--set", f"batch.dask={scheduler}")
-    batch = started("scanloom.cli.app", "batch", scans, "-o", out, *words)
-    killed = worker_at_work(hung.parent, time.monotonic() + 240)
+    batch = start_module("scanloom.cli.app", "batch", scans, "-o", out, *words)
+    killed = find_busy_worker(hung.parent, time.monotonic() + 240)
     os.kill(killed, signal.SIGKILL)
-    said, _ = batch.communicate(timeout=240)
-    assert batch.returncode == 1, said
-    assert "2 of 5 scans are not done: 1 failed, 1 unusable" in said
-    assert "scan-0004: ended after 20 s without progress in adjust" in said
+    message, _ = batch.communicate(timeout=240)
+    assert batch.returncode == 1, message
+    assert "2 of 5 scans are not done: 1 failed, 1 unusable" in message
+    assert "scan-0004: ended after 20 s without progress in adjust" in message
     assert hung.exists()
     assert not is_any_alive(hung)
 
@@ -117,38 +120,38 @@ def test_a_worker_that_is_killed_and_a_job_that_hangs_lose_nothing(
         assert (out / name / "clean.ply").read_bytes() == quiet
 
 
-def test_a_scheduler_that_is_gone_is_told(tmp_path: Path):
+def test_a_lost_scheduler_is_reported(tmp_path: Path):
     with socket.socket() as probe:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
     words = ("--host", "127.0.0.1", "--port", port, "--no-dashboard")
-    scheduler = started("distributed.cli.dask_scheduler", *words)
+    scheduler = start_module("distributed.cli.dask_scheduler", *words)
     write_small_scans(tmp_path / "scans", 1)
     words = (*WORDS, "--set", f"batch.dask=tcp://127.0.0.1:{port}")
-    while scheduler.poll() is None and not _answers(port):
+    while scheduler.poll() is None and not _is_port_open(port):
         time.sleep(0.05)
-    batch = started("scanloom.cli.app", "batch", tmp_path / "scans", "-o", tmp_path / "out", *words)
+    batch = start_module("scanloom.cli.app", "batch", tmp_path / "scans", "-o", tmp_path / "out", *words)
     assert scheduler.stdout is not None
-    # It waits for a worker; there is none.
+    # The batch waits for a worker; none exists.
     while "Receive client connection" not in scheduler.stdout.readline():
         assert batch.poll() is None, batch.communicate()[0]
     time.sleep(1)
     scheduler.kill()
     scheduler.communicate()
-    said, _ = batch.communicate(timeout=240)
-    assert batch.returncode == 1, said
-    assert said.splitlines()[-1].startswith(
+    message, _ = batch.communicate(timeout=240)
+    assert batch.returncode == 1, message
+    assert message.splitlines()[-1].startswith(
         f"scanloom: the connection to the scheduler at tcp://127.0.0.1:{port} is lost; "
     )
 
 
-def _answers(port: int) -> bool:
+def _is_port_open(port: int) -> bool:
     with socket.socket() as probe:
         return probe.connect_ex(("127.0.0.1", port)) == 0
 
 
 SBATCH = """#!{python}
-# As SLURM: takes a script, says the number of its job, and runs it elsewhere.
+# Like SLURM: takes a script, prints the number of its job, and runs the job elsewhere.
 import subprocess, sys
 with open({log!r}, "ab", buffering=0) as log:
     job = subprocess.Popen(
@@ -161,7 +164,7 @@ print("Submitted batch job 7")
 
 @pytest.fixture
 def slurm(tmp_path: Path) -> dict[str, str]:
-    """What a process's environment adds where SLURM is; its workers write to `log`."""
+    """Return environment variables for a fake SLURM, whose workers write to `log`."""
     if find_spec("dask_jobqueue") is None:
         pytest.skip("dask-jobqueue is not installed")
     (tmp_path / "bin").mkdir()
@@ -176,44 +179,46 @@ def slurm(tmp_path: Path) -> dict[str, str]:
         "DASK_JOBQUEUE__SLURM__CORES": "1",
         "DASK_JOBQUEUE__SLURM__MEMORY": "2GB",
         "DASK_JOBQUEUE__SLURM__LOCAL_DIRECTORY": str(tmp_path / "dask"),
-        # A machine that does everything at once may take longer than a minute to start one.
+        # On a busy machine, a worker may take longer than a minute to start.
         "DASK_JOBQUEUE__SLURM__DEATH_TIMEOUT": "200",
     }
 
 
-def workers_started(log: Path) -> list[int]:
-    """Return the processes that have started workers so far."""
+def list_started_workers(log: Path) -> list[int]:
+    """List the process ids of all workers started so far."""
     return [int(found) for found in re.findall(r"a worker's process: (\d+)", log.read_text())]
 
 
-def test_workers_are_started_by_slurm_and_others_where_their_time_is_over(
-    slurm: dict[str, str], tmp_path: Path
-):
+def test_slurm_starts_workers_and_replaces_expired_ones(slurm: dict[str, str], tmp_path: Path):
     scans, out = write_small_scans(tmp_path / "scans", 3), tmp_path / "out"
     words = (*WORDS, "--set", "batch.dask=slurm", "--jobs", 1)
-    batch = started("scanloom.cli.app", "batch", scans, "-o", out, *words, **slurm, PYTHONFAULTHANDLER="1")
+    batch = start_module(
+        "scanloom.cli.app", "batch", scans, "-o", out, *words, **slurm, PYTHONFAULTHANDLER="1"
+    )
     while batch.poll() is None and not (out / "scan-0000" / "clean.ply").is_file():
         time.sleep(0.05)
-    (worker,) = workers_started(tmp_path / "log")
+    (worker,) = list_started_workers(tmp_path / "log")
     os.killpg(worker, signal.SIGKILL)
     try:
-        said, _ = batch.communicate(timeout=240)
+        message, _ = batch.communicate(timeout=240)
     except subprocess.TimeoutExpired:
         batch.send_signal(signal.SIGABRT)
         pytest.fail(f"{batch.communicate()[0]}\n{(tmp_path / 'log').read_text()}")
-    assert batch.returncode == 0, said
+    assert batch.returncode == 0, message
     assert all((out / f"scan-000{number}" / "clean.ply").is_file() for number in range(3))
-    assert len(workers_started(tmp_path / "log")) == 2
+    assert len(list_started_workers(tmp_path / "log")) == 2
 
 
-def test_what_slurm_refuses_is_said_in_one_sentence(slurm: dict[str, str], tmp_path: Path):
+def test_a_refusal_by_slurm_is_one_error(slurm: dict[str, str], tmp_path: Path):
     (tmp_path / "bin" / "sbatch").write_text("#!/bin/sh\necho no such partition >&2\nexit 1\n")
     write_small_scans(tmp_path / "scans", 1)
     words = (*WORDS, "--set", "batch.dask=slurm", "--jobs", 2)
-    batch = started("scanloom.cli.app", "batch", tmp_path / "scans", "-o", tmp_path / "out", *words, **slurm)
-    said, _ = batch.communicate(timeout=240)
-    assert batch.returncode == 3, said
-    assert re.fullmatch(r"scanloom: slurm cannot start workers: .* no such partition; .*\n", said)
+    batch = start_module(
+        "scanloom.cli.app", "batch", tmp_path / "scans", "-o", tmp_path / "out", *words, **slurm
+    )
+    message, _ = batch.communicate(timeout=240)
+    assert batch.returncode == 3, message
+    assert re.fullmatch(r"scanloom: slurm cannot start workers: .* no such partition; .*\n", message)
 
 
 NO_WORKER = """
@@ -222,24 +227,24 @@ from pathlib import Path
 import scanloom.pipeline.batch.dask_executor
 from scanloom.pipeline.batch.job_queue import BatchSettings, Job, create_queue
 
-def tell(told):
-    print(told.text, flush=True)
-    if "no worker" in told.text:
+def show(event):
+    print(event.text, flush=True)
+    if "no worker" in event.text:
         raise InterruptedError
 
 scanloom.pipeline.batch.dask_executor._WORKER_CHECK_INTERVAL = 0.2
 queue = create_queue(Path(sys.argv[1]), 1, BatchSettings(""), [Job(0, "x", "x")])
-scanloom.pipeline.batch.dask_executor.run_with_dask(queue, "slurm", workers=1, on_event=tell)
+scanloom.pipeline.batch.dask_executor.run_with_dask(queue, "slurm", workers=1, on_event=show)
 """
 
 
-def test_scans_that_wait_for_a_worker_are_told(slurm: dict[str, str], tmp_path: Path):
+def test_scans_that_wait_for_a_worker_are_reported(slurm: dict[str, str], tmp_path: Path):
     (tmp_path / "bin" / "sbatch").write_text("#!/bin/sh\necho Submitted batch job 7\n")
     words = [sys.executable, "-c", NO_WORKER, str(tmp_path)]
     child = subprocess.run(words, capture_output=True, text=True, timeout=120, env=os.environ | slurm)
-    told = child.stdout.splitlines()
-    assert len(told) == 2, child.stderr
-    assert re.match(r"the scheduler at tcp://\S+ has no workers; 1 scans are waiting\. ", told[1])
+    messages = child.stdout.splitlines()
+    assert len(messages) == 2, child.stderr
+    assert re.match(r"the scheduler at tcp://\S+ has no workers; 1 scans are waiting\. ", messages[1])
 
 
 CTRL_C = """
@@ -251,7 +256,7 @@ from scanloom.stages.diagnostics.errors import InputError
 
 queue = create_queue(Path(sys.argv[1]), 1, BatchSettings(""), [Job(0, "x", "x")])
 try:
-    # Nothing says how many processors a worker has.
+    # The processor count of a worker is not configured.
     run_with_dask(queue, "slurm", workers=1)
 except InputError:
     assert "dask_jobqueue" in sys.modules
@@ -259,7 +264,7 @@ except InputError:
 """
 
 
-def test_ctrl_c_stays_an_interruption(tmp_path: Path):
+def test_ctrl_c_remains_a_keyboard_interrupt_after_dask(tmp_path: Path):
     if find_spec("dask_jobqueue") is None:
         pytest.skip("dask-jobqueue is not installed")
     words = [sys.executable, "-c", CTRL_C, str(tmp_path)]
@@ -268,7 +273,7 @@ def test_ctrl_c_stays_an_interruption(tmp_path: Path):
     assert child.stderr.strip().endswith("KeyboardInterrupt")
 
 
-def test_what_cannot_be_is_said_in_one_sentence(tmp_path: Path):
+def test_bad_executors_are_one_error(tmp_path: Path):
     queue = create_queue(tmp_path, 1, BatchSettings(""), [Job(0, "x", "x")])
     assert queue is not None
     with pytest.raises(UsageError, match=r"batch\.dask=slurm needs --jobs N"):

@@ -1,4 +1,4 @@
-"""A job that hangs holds up none of the others; a worker that was stopped leaves its jobs to who has them."""
+"""Hanging jobs do not block other jobs; a resumed worker leaves its job to the worker that took it over."""
 
 from __future__ import annotations
 
@@ -31,12 +31,12 @@ from scanloom.pipeline.run.run import run
 from scanloom.stages.diagnostics.errors import StageError
 
 Begin = Callable[..., BatchQueue]
-# Nothing that does not hang is silent for so long, however busy the machine is.
+# Jobs that do not hang report progress in less time, even on a busy machine.
 LONG = 300.0
 
 
 class Clock:
-    """Goes as it does, and much faster while something hangs."""
+    """Clock that jumps ahead on each call while a job hangs."""
 
     def __init__(self, has_hung: Callable[[], bool]) -> None:
         self._has_hung = has_hung
@@ -47,12 +47,12 @@ class Clock:
         return time.monotonic() + self._ahead
 
 
-def work() -> RunningJob:
+def make_running_job() -> RunningJob:
     return RunningJob(Job(0, "x", "x"), Claim(0, 0))
 
 
-def test_what_is_told_again_is_nothing_new():
-    one = work()
+def test_repeated_progress_does_not_reset_the_idle_time():
+    one = make_running_job()
     for share in (0.0, 0.1, 0.1):
         one.add_idle_time(5.0)
         one.record_progress("fuse", share)
@@ -61,8 +61,8 @@ def test_what_is_told_again_is_nothing_new():
     assert one.idle_seconds == 0.0
 
 
-def test_a_job_that_waits_for_leave_does_not_hang():
-    one = work()
+def test_a_job_that_awaits_admission_is_not_idle():
+    one = make_running_job()
     one.add_idle_time(5.0)
     one.is_awaiting_admission = True
     one.add_idle_time(1e6)
@@ -72,8 +72,8 @@ def test_a_job_that_waits_for_leave_does_not_hang():
     assert one.idle_seconds == 5.0
 
 
-def test_what_goes_on_after_another_run_is_something_new():
-    one = work()
+def test_progress_after_waiting_for_another_run_resets_the_idle_time():
+    one = make_running_job()
     one.record_progress("fuse", 0.0)
     one.is_blocked = True
     one.add_idle_time(5.0)
@@ -81,16 +81,16 @@ def test_what_goes_on_after_another_run_is_something_new():
     assert (one.idle_seconds, one.is_blocked) == (0.0, False)
 
 
-def results(out: Path) -> dict[str, bytes]:
+def read_meshes(out: Path) -> dict[str, bytes]:
     return {path.name: path.read_bytes() for path in sorted(out.glob("*.ply"))}
 
 
 @pytest.mark.slow
-def test_a_process_that_the_system_cannot_end_is_left_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_a_process_that_cannot_be_killed_is_abandoned(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     process = JobProcess(SimpleQueue(), 1, tmp_path / "log")
     os.kill(process._process.pid, signal.SIGSTOP)
     with monkeypatch.context() as patched:
-        # As where it waits for a drive: the signal is taken note of, and nothing follows.
+        # Simulate a process blocked on a drive: signals are accepted without effect.
         patched.setattr("scanloom.pipeline.batch.process_handle._EXIT_TIMEOUT", 0.05)
         patched.setattr("os.killpg", lambda *_: None)
         assert not process.kill()
@@ -105,7 +105,7 @@ def _long_turns(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("_long_turns")
-def test_a_job_that_hangs_is_ended_with_its_children_and_the_others_go_on(
+def test_a_hanging_job_is_killed_with_its_children_and_other_jobs_continue(
     small_scans: Path, queue_of: Begin, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ):
     queue = queue_of(small_scans, until="clean")
@@ -123,7 +123,7 @@ def test_a_job_that_hangs_is_ended_with_its_children_and_the_others_go_on(
     assert not is_any_alive(hung)
     assert not list((queue.cache / "drafts").iterdir())
 
-    # It goes on from what is in the cache, and comes to what a quiet run comes to.
+    # A new batch resumes from the cache and gives the same result as an undisturbed run.
     (tmp_path / "hook" / "sitecustomize.py").unlink()
     (scan,) = [one for one in queue.jobs if one.name == "scan-1"]
     again = create_queue(queue.out, 2, queue.settings, [replace(scan, number=0)])
@@ -132,23 +132,23 @@ def test_a_job_that_hangs_is_ended_with_its_children_and_the_others_go_on(
     (record,) = summarize_batch(again).records
     assert (record.state, record.metrics["stages_cached"]) == (DONE, 1)
     run(small_scans / "scan-1", tmp_path / "quiet", Config(), until="clean")
-    assert results(queue.out / "scan-1") == results(tmp_path / "quiet") != {}
+    assert read_meshes(queue.out / "scan-1") == read_meshes(tmp_path / "quiet") != {}
 
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("_long_turns")
-def test_a_job_that_is_stopped_is_ended(small_scans: Path, queue_of: Begin):
+def test_a_stopped_job_process_is_killed(small_scans: Path, queue_of: Begin):
     queue = queue_of(small_scans)
     stopped = False
 
-    def tell(told: WorkerEvent) -> None:
+    def tell(event: WorkerEvent) -> None:
         nonlocal stopped
-        if isinstance(told, JobProgress) and told.name == "scan-1":
+        if isinstance(event, JobProgress) and event.name == "scan-1":
             (slot,) = worker._slots
             assert slot.process is not None
             os.kill(slot.process._process.pid, signal.SIGSTOP)
             stopped = True
-        stopped = stopped and not isinstance(told, JobEnded)
+        stopped = stopped and not isinstance(event, JobEnded)
 
     worker = Worker(queue, slots=1, threads=1, timeout=LONG, on_event=tell, clock=Clock(lambda: stopped))
     worker.run()
@@ -158,7 +158,7 @@ def test_a_job_that_is_stopped_is_ended(small_scans: Path, queue_of: Begin):
 
 
 @pytest.mark.slow
-def test_a_worker_that_was_stopped_leaves_its_job_to_who_has_taken_it_over(
+def test_a_resumed_worker_leaves_its_job_to_the_worker_that_took_it_over(
     small_scans: Path, queue_of: Begin, tmp_path: Path
 ):
     queue = queue_of(small_scans, until="clean", take_over_after=2.0)
@@ -175,7 +175,7 @@ def test_a_worker_that_was_stopped_leaves_its_job_to_who_has_taken_it_over(
     ]
     claims = Claims(queue.folder / "claims", "")
     with subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True) as first:
-        # In the middle of a job, with all that the job has locked.
+        # Stop the worker during a job, while the job holds its locks.
         while not claims.read_claim(Claim(1, 0)).stage:
             assert first.poll() is None
             time.sleep(0.01)
@@ -183,30 +183,30 @@ def test_a_worker_that_was_stopped_leaves_its_job_to_who_has_taken_it_over(
         for number in (first.pid, *map(int, jobs)):
             os.kill(number, signal.SIGSTOP)
 
-        def tell(told: WorkerEvent) -> None:
-            if isinstance(told, Notice) and "waiting for another run into" in told.text:
+        def tell(event: WorkerEvent) -> None:
+            if isinstance(event, Notice) and "waiting for another run into" in event.text:
                 os.kill(first.pid, signal.SIGCONT)
 
         Worker(queue, slots=1, threads=1, on_event=tell).run()
         os.kill(first.pid, signal.SIGCONT)
-        said = first.communicate(timeout=60)[1]
-    assert "scan-0: another worker has taken it over while this worker was unresponsive" in said
+        message = first.communicate(timeout=60)[1]
+    assert "scan-0: another worker has taken it over while this worker was unresponsive" in message
     ends = [one for one in JobRecords(queue.folder / "done").list_finished() if one.number == 1]
     assert [one.attempt for one in ends] == [1]
     states = {one.name: one.state for one in summarize_batch(queue).records}
     assert states == {"broken": UNUSABLE, **{f"scan-{k}": DONE for k in range(4)}}
     run(small_scans / "scan-0", tmp_path / "quiet", Config(), until="clean")
-    assert results(queue.out / "scan-0") == results(tmp_path / "quiet") != {}
+    assert read_meshes(queue.out / "scan-0") == read_meshes(tmp_path / "quiet") != {}
     assert not list((queue.cache / "drafts").iterdir())
 
 
 @pytest.mark.slow
-def test_a_worker_whose_batch_is_gone_says_so(small_scans: Path, queue_of: Begin):
+def test_a_worker_whose_queue_is_replaced_reports_it(small_scans: Path, queue_of: Begin):
     queue = queue_of(small_scans)
 
-    def tell(told: WorkerEvent) -> None:
-        if isinstance(told, JobProgress):
-            # As the next batch does, which was begun while no sign of this one came.
+    def tell(event: WorkerEvent) -> None:
+        if isinstance(event, JobProgress):
+            # Like the next batch, which was started while this worker gave no heartbeat.
             shutil.rmtree(queue.folder)
 
     with pytest.raises(
@@ -216,16 +216,16 @@ def test_a_worker_whose_batch_is_gone_says_so(small_scans: Path, queue_of: Begin
 
 
 @pytest.mark.slow
-def test_a_worker_whose_batch_goes_between_two_looks_says_so(
+def test_a_queue_replaced_between_two_checks_is_reported(
     small_scans: Path, queue_of: Begin, monkeypatch: pytest.MonkeyPatch
 ):
     queue = queue_of(small_scans)
 
-    def hear(_: Worker) -> None:
+    def replace_queue(_: Worker) -> None:
         shutil.rmtree(queue.folder)
         (queue.folder / "claims" / "000001.0").write_text("")
 
-    monkeypatch.setattr(Worker, "_handle_messages", hear)
+    monkeypatch.setattr(Worker, "_handle_messages", replace_queue)
     with pytest.raises(
         StageError, match=r"another batch was started in .*out while this worker was unresponsive"
     ):

@@ -1,4 +1,4 @@
-"""A queue is written whole, read without trust, and made by one batch only."""
+"""Job queue: written atomically, validated when read, and created by one batch only."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def written(tmp_path: Path) -> BatchQueue:
     return queue
 
 
-def test_a_queue_is_read_as_it_was_written(written: BatchQueue):
+def test_a_queue_is_read_as_written(written: BatchQueue):
     read = read_current_queue(written.out)
     assert read == written
     assert read.matches(SETTINGS, JOBS)
@@ -41,17 +41,17 @@ def test_a_queue_is_read_as_it_was_written(written: BatchQueue):
     assert read.cache == written.out / "cache"
 
 
-def test_without_one_there_is_none(tmp_path: Path):
+def test_a_missing_queue_is_none(tmp_path: Path):
     assert read_current_queue(tmp_path) is None
 
 
-def test_the_next_takes_its_place(written: BatchQueue):
+def test_the_next_queue_replaces_the_previous_one(written: BatchQueue):
     following = create_queue(written.out, 2, SETTINGS, JOBS[:2])
     assert read_current_queue(written.out) == following
     assert not written.folder.exists()
 
 
-def test_damaged_lines_are_jobs_that_are_told(written: BatchQueue):
+def test_damaged_lines_are_listed(written: BatchQueue):
     path = written.folder / "jobs.jsonl"
     lines = path.read_text().splitlines()
     lines[2] = lines[2].replace("scans/1", "scans/7")
@@ -65,7 +65,7 @@ def test_damaged_lines_are_jobs_that_are_told(written: BatchQueue):
     assert not read.matches(SETTINGS, JOBS)
 
 
-def test_a_queue_that_is_cut_short_says_how_many_are_gone(written: BatchQueue):
+def test_a_truncated_queue_counts_its_missing_jobs(written: BatchQueue):
     path = written.folder / "jobs.jsonl"
     path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
     read = read_current_queue(written.out)
@@ -75,13 +75,13 @@ def test_a_queue_that_is_cut_short_says_how_many_are_gone(written: BatchQueue):
 
 
 @pytest.mark.parametrize("content", [b"", b"{}", b"\xff\xfe", b'{"check": 1}\n', b"[" * 100_000])
-def test_a_damaged_head_is_refused_in_one_sentence(written: BatchQueue, content: bytes):
+def test_a_damaged_header_is_one_error(written: BatchQueue, content: bytes):
     (written.folder / "jobs.jsonl").write_bytes(content)
     with pytest.raises(InputError, match=r"jobs\.jsonl: the queue is damaged.*run `scanloom batch` again"):
         read_current_queue(written.out)
 
 
-def test_a_name_that_leads_out_is_no_job(written: BatchQueue):
+def test_a_job_name_outside_the_output_folder_is_damaged(written: BatchQueue):
     path = written.folder / "jobs.jsonl"
     head = path.read_text().splitlines()[0]
     values = {"number": 0, "scan": "x", "name": "../../etc"}
@@ -91,7 +91,7 @@ def test_a_name_that_leads_out_is_no_job(written: BatchQueue):
     assert read.damaged == (0, 1, 2, 3, 4)
 
 
-def test_of_several_batches_one_writes_the_queue(tmp_path: Path):
+def test_only_one_of_several_batches_creates_the_queue(tmp_path: Path):
     made: list[BatchQueue | None] = []
     together = threading.Barrier(8)
 
@@ -110,7 +110,7 @@ def test_of_several_batches_one_writes_the_queue(tmp_path: Path):
     assert read_current_queue(tmp_path) == first
 
 
-def test_one_that_was_never_written_is_passed_over(written: BatchQueue, monkeypatch: pytest.MonkeyPatch):
+def test_an_unfinished_queue_is_skipped(written: BatchQueue, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(queues, "_WRITE_TIMEOUT", 0.05)
     (written.folder.parent / "0002").mkdir()
     assert read_current_queue(written.out) == written
@@ -119,13 +119,13 @@ def test_one_that_was_never_written_is_passed_over(written: BatchQueue, monkeypa
     assert create_queue(written.out, 3, SETTINGS, JOBS) is not None
 
 
-def test_what_cannot_be_written_is_said(tmp_path: Path):
+def test_a_write_error_is_reported(tmp_path: Path):
     (tmp_path / "queue").write_text("mine")
     with pytest.raises(StageError, match=r"the queue in .*queue cannot be written: "):
         create_queue(tmp_path, 1, SETTINGS, JOBS)
 
 
-def test_names_are_no_other_files_and_none_is_twice(tmp_path: Path):
+def test_reserved_and_repeated_names_get_a_suffix(tmp_path: Path):
     names = ["cache", "Queue/a", "index.html", "a/b", "A/B", "a/b_", "plain"]
     jobs = make_jobs([(tmp_path / name, name) for name in names], tmp_path / "out")
     assert [job.name for job in jobs] == [

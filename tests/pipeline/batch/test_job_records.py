@@ -1,4 +1,4 @@
-"""What became of a job is kept for each try, and the last that came to an end counts."""
+"""Job records: one for each attempt; the latest finished attempt counts."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ ODD = MACHINE_BUG.warning("odd: {count}", "a.png", remedy="look", count=3).repla
 )
 
 
-def test_a_record_is_read_as_it_was_written(tmp_path: Path):
+def test_a_record_is_read_as_written(tmp_path: Path):
     records = JobRecords(tmp_path)
     record = JobRecord(3, "späße", DONE, "", 1.5, "w", 1, (ODD,), {"frames": 3, "voxel_size_m": None})
     records.write(record)
@@ -23,9 +23,9 @@ def test_a_record_is_read_as_it_was_written(tmp_path: Path):
     assert records.read_records(records.list_ended().values()) == [record]
 
 
-def test_of_two_tries_that_which_took_over_counts_and_both_are_known(tmp_path: Path):
+def test_the_record_of_the_latest_attempt_counts(tmp_path: Path):
     records = JobRecords(tmp_path)
-    # The first came to its end when it had lost the job already.
+    # The first attempt ended after the job was taken over.
     for attempt, state in ((1, DONE), (0, FAILED)):
         records.write(JobRecord(3, "a", state, attempt=attempt))
     assert [(one.attempt, one.state) for one in records.read_records(records.list_ended().values())] == [
@@ -35,7 +35,7 @@ def test_of_two_tries_that_which_took_over_counts_and_both_are_known(tmp_path: P
 
 
 @pytest.mark.parametrize("content", [b"", b"{}", b"[1]", b"\xff", b'{"number": 1}', b"[" * 100_000])
-def test_a_damaged_record_says_so(tmp_path: Path, content: bytes):
+def test_a_damaged_record_is_a_failed_job(tmp_path: Path, content: bytes):
     (tmp_path / "000003.0.json").write_bytes(content)
     for name in (".000004.0.json.ab.part", "x.json", "000005.json"):
         (tmp_path / name).write_bytes(b"")

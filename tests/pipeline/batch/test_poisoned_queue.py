@@ -1,4 +1,4 @@
-"""A queue is in a shared folder: workers refuse what `scanloom batch` does not write."""
+"""Queues in shared folders: workers refuse content that `scanloom batch` does not write."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def queue(tmp_path: Path) -> BatchQueue:
     return made
 
 
-def rewrite(queue: BatchQueue, settings: dict[str, Any], *jobs: dict[str, Any]) -> None:
+def rewrite_queue(queue: BatchQueue, settings: dict[str, Any], *jobs: dict[str, Any]) -> None:
     """Write a job list with valid digests, as an attacker can."""
     head = {"schema": 2, "scanloom": queue.version, "jobs": 2, **asdict(queue.settings), **settings}
     lines = [head, *({**asdict(job), **changed} for job, changed in zip(JOBS, jobs, strict=False))]
@@ -38,7 +38,7 @@ def rewrite(queue: BatchQueue, settings: dict[str, Any], *jobs: dict[str, Any]) 
 
 
 @pytest.mark.parametrize(
-    ("changed", "said"),
+    ("changed", "message"),
     [
         ({"name": "../../home"}, "outside the output folder"),
         ({"name": "/etc/cron.d"}, "outside the output folder"),
@@ -52,21 +52,23 @@ def rewrite(queue: BatchQueue, settings: dict[str, Any], *jobs: dict[str, Any]) 
         ({"scan": "a\0b"}, "not text"),
     ],
 )
-def test_a_changed_job_is_refused_and_told(queue: BatchQueue, changed: dict[str, Any], said: str) -> None:
-    rewrite(queue, {}, *(({}, changed) if changed.get("name") == "FLOOR/0" else (changed, {})))
+def test_a_changed_job_is_refused_and_reported(
+    queue: BatchQueue, changed: dict[str, Any], message: str
+) -> None:
+    rewrite_queue(queue, {}, *(({}, changed) if changed.get("name") == "FLOOR/0" else (changed, {})))
     read = read_current_queue(queue.out)
     assert read is not None
     (number,) = read.damaged
-    assert said in read.refusals[number]
+    assert message in read.refusals[number]
     Worker(read, slots=1, threads=1, only=frozenset({number})).run()
     (record,) = [one for one in summarize_batch(read).records if one.number == number]
     assert record.state == FAILED
-    assert said in record.reason
+    assert message in record.reason
     assert [one.code for one in record.diagnostics] == ["batch.queue-refused"]
 
 
 @pytest.mark.parametrize(
-    ("changed", "said"),
+    ("changed", "message"),
     [
         ({"cache": "../elsewhere"}, r"elsewhere is outside the output folder and has no file CACHEDIR\.TAG"),
         ({"cache": "/tmp"}, "not a path relative"),
@@ -83,16 +85,16 @@ def test_a_changed_job_is_refused_and_told(queue: BatchQueue, changed: dict[str,
         ({"jobs": True}, "the queue is damaged"),
     ],
 )
-def test_changed_settings_are_refused(queue: BatchQueue, changed: dict[str, Any], said: str) -> None:
-    rewrite(queue, changed, {}, {})
-    with pytest.raises(InputError, match=said):
+def test_changed_settings_are_refused(queue: BatchQueue, changed: dict[str, Any], message: str) -> None:
+    rewrite_queue(queue, changed, {}, {})
+    with pytest.raises(InputError, match=message):
         read_current_queue(queue.out)
 
 
 def test_a_marked_cache_elsewhere_is_accepted(queue: BatchQueue, tmp_path: Path) -> None:
     (tmp_path / "shared").mkdir()
     (tmp_path / "shared" / "CACHEDIR.TAG").write_text("made")
-    rewrite(queue, {"cache": "../shared"}, {}, {})
+    rewrite_queue(queue, {"cache": "../shared"}, {}, {})
     read = read_current_queue(queue.out)
     assert read is not None
     assert read.cache == tmp_path / "shared"
@@ -135,7 +137,7 @@ def test_results_behind_a_link_out_of_the_folder_are_refused(queue: BatchQueue, 
     assert not list((tmp_path / "home").iterdir())
 
 
-def test_a_claim_is_data_and_no_path(queue: BatchQueue, tmp_path: Path) -> None:
+def test_malformed_claims_are_not_used_as_paths(queue: BatchQueue, tmp_path: Path) -> None:
     folder = queue.folder / "claims"
     for name in ("000000.999999999", "0" * 200 + ".0", "000000.²", "999999999999.0", "000000.-1"):
         (folder / name).write_text("w\n")
@@ -191,7 +193,7 @@ def test_a_record_with_values_of_other_types_is_damaged(queue: BatchQueue, chang
     assert "is damaged" in record.reason
 
 
-def test_paths_and_names_of_records_do_not_lead_out(queue: BatchQueue) -> None:
+def test_paths_and_names_in_records_stay_inside_the_output_folder(queue: BatchQueue) -> None:
     metrics = {
         "result": "../../x.glb",
         "page": "javascript:/../alert(1)",

@@ -1,4 +1,4 @@
-"""Which folders of a folder are scans, and by which names."""
+"""Scan discovery: which folders are scans, and their names."""
 
 from __future__ import annotations
 
@@ -20,39 +20,39 @@ def scans(tmp_path: Path) -> Path:
     return folder
 
 
-def names(folder: Path, **how: object) -> list[str]:
+def list_names(folder: Path, **how: object) -> list[str]:
     return [one.name for one in find_scans(folder, **how)[0]]  # type: ignore[arg-type]
 
 
-def test_scans_are_named_by_where_they_are(scans: Path):
-    assert names(scans) == ["floor-1/hall", "floor-1/room", "floor-2/deep/cellar", "kitchen"]
+def test_scans_are_named_by_their_relative_path(scans: Path):
+    assert list_names(scans) == ["floor-1/hall", "floor-1/room", "floor-2/deep/cellar", "kitchen"]
     assert {one.layout for one in find_scans(scans)[0]} == {"plain-rgbd"}
 
 
-def test_a_scan_is_not_looked_into(scans: Path):
+def test_subfolders_of_a_scan_are_not_searched(scans: Path):
     write_small_scan(scans / "kitchen" / "again", frames=2)
-    assert "kitchen/again" not in names(scans)
+    assert "kitchen/again" not in list_names(scans)
 
 
 def test_a_folder_that_is_a_scan_is_the_only_one(scans: Path):
-    assert names(scans / "kitchen") == ["kitchen"]
+    assert list_names(scans / "kitchen") == ["kitchen"]
 
 
-def test_folders_without_a_scan_are_told_once(scans: Path):
+def test_folders_without_scans_are_reported_once(scans: Path):
     (scans / "notes" / "of" / "may").mkdir(parents=True)
     (scans / "notes" / "of" / "may" / "text.txt").write_text("rain")
     (scans / "floor-1" / "empty").mkdir()
     (scans / "zed").mkdir()
     (scans / "zed" / "take.svo").write_bytes(b"svo")
     (scans / ".hidden").mkdir()
-    told = {one.path.relative_to(scans).as_posix(): one.reason for one in find_scans(scans)[1]}
-    assert told.keys() == {"notes", "floor-1/empty", "zed"}
-    assert told["notes"] == "its layout is unknown"
-    assert told["floor-1/empty"] == "it is empty"
-    assert told["zed"].startswith("this looks like a ZED recording (.svo)")
+    reasons = {one.path.relative_to(scans).as_posix(): one.reason for one in find_scans(scans)[1]}
+    assert reasons.keys() == {"notes", "floor-1/empty", "zed"}
+    assert reasons["notes"] == "its layout is unknown"
+    assert reasons["floor-1/empty"] == "it is empty"
+    assert reasons["zed"].startswith("this looks like a ZED recording (.svo)")
 
 
-def test_recordings_beside_others_are_scans_each(scans: Path):
+def test_each_recording_of_a_folder_is_a_scan(scans: Path):
     (scans / "one").mkdir()
     (scans / "one" / "take.bag").write_bytes(b"#ROSBAG V2.0\n")
     (scans / "two").mkdir()
@@ -60,45 +60,50 @@ def test_recordings_beside_others_are_scans_each(scans: Path):
         (scans / "two" / name).write_bytes(b"")
     (scans / "top.r3d").write_bytes(b"")
     found = {one.name: one.layout for one in find_scans(scans)[0]}
-    # Its folder is named where a recording is alone: as `run` takes it.
+    # A single recording gets the name of its folder, as in `run`.
     assert found["one"] == found["two/a.bag"] == found["two/b.mcap"]
     assert found["top.r3d"] == "record3d"
     assert "kitchen" in found
 
 
-def test_the_files_of_one_recording_are_one_scan(tmp_path: Path):
+def test_the_files_of_a_split_recording_are_one_scan(tmp_path: Path):
     folder = tmp_path / "scans" / "take"
     folder.mkdir(parents=True)
     for name in ("take_0.db3", "take_1.db3"):
         (folder / name).write_bytes(b"")
     (folder / "metadata.yaml").write_text("rosbag2_bagfile_information: {}\n")
-    assert names(tmp_path / "scans") == ["take"]
+    assert list_names(tmp_path / "scans") == ["take"]
 
 
-def test_links_are_followed_and_circles_end(scans: Path, tmp_path: Path):
+def test_links_are_followed_without_endless_loops(scans: Path, tmp_path: Path):
     shutil.move(scans / "kitchen", tmp_path / "elsewhere")
     (scans / "kitchen").symlink_to(tmp_path / "elsewhere")
     (scans / "floor-1" / "up").symlink_to(scans)
-    assert names(scans) == ["floor-1/hall", "floor-1/room", "floor-2/deep/cellar", "kitchen"]
+    assert list_names(scans) == ["floor-1/hall", "floor-1/room", "floor-2/deep/cellar", "kitchen"]
 
 
-def test_patterns_choose(scans: Path):
-    assert names(scans, include=["floor-1/*"]) == ["floor-1/hall", "floor-1/room"]
-    assert names(scans, include=["floor-1/*", "kitchen"], exclude=["*/room"]) == ["floor-1/hall", "kitchen"]
+def test_patterns_include_and_exclude_scans(scans: Path):
+    assert list_names(scans, include=["floor-1/*"]) == ["floor-1/hall", "floor-1/room"]
+    assert list_names(scans, include=["floor-1/*", "kitchen"], exclude=["*/room"]) == [
+        "floor-1/hall",
+        "kitchen",
+    ]
 
 
-def test_results_are_not_searched(scans: Path):
+def test_excluded_folders_are_not_searched(scans: Path):
     write_small_scan(scans / "out" / "copy", frames=2)
-    assert "out/copy" not in names(scans, excluded_folders=[scans / "out"])
+    assert "out/copy" not in list_names(scans, excluded_folders=[scans / "out"])
 
 
-def test_a_stated_layout_takes_every_folder(scans: Path):
+def test_a_given_layout_makes_every_folder_a_scan(scans: Path):
     (scans / "bare").mkdir()
-    assert names(scans, layout="tum") == ["bare", "floor-1", "floor-2", "kitchen"]
+    assert list_names(scans, layout="tum") == ["bare", "floor-1", "floor-2", "kitchen"]
 
 
-@pytest.mark.parametrize(("name", "said"), [("none", "there is no such folder"), ("file", "this is a file")])
-def test_what_is_no_folder_is_refused(tmp_path: Path, name: str, said: str):
+@pytest.mark.parametrize(
+    ("name", "message"), [("none", "there is no such folder"), ("file", "this is a file")]
+)
+def test_a_missing_folder_is_refused(tmp_path: Path, name: str, message: str):
     (tmp_path / "file").write_text("")
-    with pytest.raises(InputError, match=said):
+    with pytest.raises(InputError, match=message):
         find_scans(tmp_path / name)

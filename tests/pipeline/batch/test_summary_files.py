@@ -1,4 +1,4 @@
-"""The tables and the page of a batch: what they hold, and what they do not take the place of."""
+"""Tables and page of a batch: content, and protection of other files."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def summary(tmp_path: Path) -> BatchSummary:
     return BatchSummary(tmp_path, RECORDS, ("/s/hall", "/s/b", "/s/c"))
 
 
-def test_counts_and_states(summary: BatchSummary):
+def test_counts_and_states_of_a_summary(summary: BatchSummary):
     assert summary.counts == {DONE: 1, FAILED: 1, UNUSABLE: 1}
     assert summary.is_finished
     assert not summary.is_unusable
@@ -49,7 +49,7 @@ def test_counts_and_states(summary: BatchSummary):
     assert BatchSummary(Path(), RECORDS[2:], ("",)).is_unusable
 
 
-def test_csv_holds_every_column_and_every_name(summary: BatchSummary):
+def test_csv_has_every_column_and_every_scan(summary: BatchSummary):
     rows = list(csv.DictReader(io.StringIO(format_csv(summary.make_rows()).decode())))
     assert list(rows[0]) == list(COLUMNS)
     assert [row["scan"] for row in rows] == [one.name for one in RECORDS]
@@ -60,7 +60,7 @@ def test_csv_holds_every_column_and_every_name(summary: BatchSummary):
     assert rows[1]["triangles"] == ""
 
 
-def test_parquet_holds_the_same_with_types(summary: BatchSummary):
+def test_parquet_has_the_same_content_with_types(summary: BatchSummary):
     parquet = pytest.importorskip("pyarrow.parquet")
     data = format_parquet(summary.make_rows())
     assert data is not None
@@ -69,11 +69,11 @@ def test_parquet_holds_the_same_with_types(summary: BatchSummary):
     assert table["triangles"].to_pylist() == [1000, None, None]
     assert table["voxel_size_m"].to_pylist() == [0.006, None, None]
     assert str(table.schema.field("metric").type) == "bool"
-    # Of none, too, each column has its type.
+    # Without rows, the columns have the same types.
     assert parquet.read_table(io.BytesIO(format_parquet([]) or b"")).schema == table.schema
 
 
-def test_the_page_holds_all_and_nothing_of_it_is_code(summary: BatchSummary):
+def test_the_page_contains_all_rows_and_escapes_them(summary: BatchSummary):
     write_outputs(summary, "many")
     page = (summary.out / "index.html").read_text()
     assert page.count("</script>") == 2
@@ -83,14 +83,16 @@ def test_the_page_holds_all_and_nothing_of_it_is_code(summary: BatchSummary):
     assert not re.search(r"https?://", page)
 
 
-def test_without_pyarrow_no_table_of_before_stays(summary: BatchSummary, monkeypatch: pytest.MonkeyPatch):
+def test_without_pyarrow_an_old_parquet_file_is_removed(
+    summary: BatchSummary, monkeypatch: pytest.MonkeyPatch
+):
     (summary.out / "batch.parquet").write_bytes(b"PAR1 of before")
     monkeypatch.setattr(summary_files, "format_parquet", lambda _: None)
     assert [path.name for path in write_outputs(summary, "many")] == ["index.html", "batch.csv"]
     assert not (summary.out / "batch.parquet").exists()
 
 
-def test_what_a_batch_wrote_is_replaced_and_withdrawn(summary: BatchSummary):
+def test_files_of_a_batch_are_replaced_and_removed(summary: BatchSummary):
     write_outputs(summary, "many")
     check_outputs_replaceable(summary.out)
     (summary.out / "notes.txt").write_text("mine")
@@ -102,7 +104,7 @@ def test_what_a_batch_wrote_is_replaced_and_withdrawn(summary: BatchSummary):
 
 
 @pytest.mark.parametrize("name", ["index.html", "batch.csv", "batch.parquet"])
-def test_what_no_batch_wrote_is_not_replaced(tmp_path: Path, name: str):
+def test_other_files_are_not_replaced(tmp_path: Path, name: str):
     (tmp_path / name).write_text("mine")
     with pytest.raises(InputError, match=f"{name}: this file was not written by a batch"):
         check_outputs_replaceable(tmp_path)
@@ -115,7 +117,7 @@ def test_what_no_batch_wrote_is_not_replaced(tmp_path: Path, name: str):
 @pytest.mark.parametrize(
     "name", ["=cmd|' /C calc'!A0", "+1+1", "-2+3", "@SUM(A1)", "\t=1", "\r=1", " =1", "\n=1", "＝1", "\x1b=1"]
 )
-def test_no_cell_of_the_csv_is_a_formula(tmp_path: Path, name: str):
+def test_no_csv_cell_is_a_formula(tmp_path: Path, name: str):
     record = JobRecord(0, name, FAILED, name, -1.5, diagnostics=(), metrics={"layout": name})
     table = format_csv(BatchSummary(tmp_path, (record,), (name,)).make_rows()).decode()
     (row,) = csv.DictReader(io.StringIO(table, newline=""))

@@ -1,4 +1,4 @@
-"""Workers bring every scan to an end, whatever becomes of one, of a process, or of a worker."""
+"""Workers finish every scan despite bad scans, killed job processes and killed workers."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ pytestmark = pytest.mark.slow
 Begin = Callable[..., BatchQueue]
 
 
-def worked(queue: BatchQueue, **how: Any) -> dict[str, JobRecord]:
+def run_worker(queue: BatchQueue, **how: Any) -> dict[str, JobRecord]:
     how = {"slots": 1, "threads": 1, **how}
     Worker(queue, **how).run()
     summary = summarize_batch(queue)
@@ -44,44 +44,44 @@ def worked(queue: BatchQueue, **how: Any) -> dict[str, JobRecord]:
     return {one.name: one for one in summary.records}
 
 
-def results(out: Path) -> dict[str, bytes]:
-    """What is the same whenever it is made, by name."""
+def read_meshes(out: Path) -> dict[str, bytes]:
+    """Read the meshes of a run by file name; repeated runs give identical bytes."""
     return {path.name: path.read_bytes() for path in sorted(out.glob("*.ply"))}
 
 
-def process_of(worker: Worker) -> int:
+def get_job_pid(worker: Worker) -> int:
     (process,) = [slot.process for slot in worker._slots if slot.process is not None]
     return process._process.pid
 
 
-def test_one_bad_scan_ends_none_of_the_others(small_scans: Path, queue_of: Begin, tmp_path: Path):
-    told: list[WorkerEvent] = []
-    ended = worked(queue_of(small_scans, until="clean"), slots=2, on_event=told.append)
+def test_a_bad_scan_does_not_affect_other_scans(small_scans: Path, queue_of: Begin, tmp_path: Path):
+    events: list[WorkerEvent] = []
+    ended = run_worker(queue_of(small_scans, until="clean"), slots=2, on_event=events.append)
     states = {name: one.state for name, one in ended.items()}
     assert states == {"broken": UNUSABLE, **{f"scan-{k}": DONE for k in range(4)}}
     assert "scan.json: the file is not valid JSON" in ended["broken"].reason
     assert ended["scan-1"].metrics["frames"] == 4
-    assert sum(isinstance(one, JobEnded) for one in told) == 5
-    assert [one for one in told if isinstance(one, QueueProgress)][-1] == QueueProgress(5, 5)
+    assert sum(isinstance(one, JobEnded) for one in events) == 5
+    assert [one for one in events if isinstance(one, QueueProgress)][-1] == QueueProgress(5, 5)
 
-    # As `run` has it, under the same names.
+    # The results have the bytes and names of `run`.
     run(small_scans / "scan-2", tmp_path / "alone", Config(), until="clean")
-    assert results(tmp_path / "out" / "scan-2") == results(tmp_path / "alone") != {}
+    assert read_meshes(tmp_path / "out" / "scan-2") == read_meshes(tmp_path / "alone") != {}
     assert (tmp_path / "out" / "scan-2" / "report.json").is_file()
     assert not list((tmp_path / "out" / "cache" / "drafts").iterdir())
 
 
-def test_a_scan_that_vanishes_meanwhile_is_told(small_scans: Path, queue_of: Begin, tmp_path: Path):
+def test_a_scan_that_disappears_is_reported(small_scans: Path, queue_of: Begin, tmp_path: Path):
     shutil.copytree(small_scans, tmp_path / "scans")
     queue = queue_of(tmp_path / "scans")
     shutil.rmtree(tmp_path / "scans" / "scan-1")
-    ended = worked(queue)
+    ended = run_worker(queue)
     assert ended["scan-1"].state == UNUSABLE
     assert ended["scan-1"].reason == f"{tmp_path / 'scans' / 'scan-1'}: the scan does not exist any more."
     assert [ended[f"scan-{k}"].state for k in (0, 2, 3)] == [DONE] * 3
 
 
-def test_a_damaged_line_is_a_job_that_failed(small_scans: Path, queue_of: Begin):
+def test_a_damaged_queue_line_is_a_failed_job(small_scans: Path, queue_of: Begin):
     from scanloom.pipeline.batch.job_queue import read_current_queue
 
     queue = queue_of(small_scans)
@@ -90,43 +90,43 @@ def test_a_damaged_line_is_a_job_that_failed(small_scans: Path, queue_of: Begin)
     path.write_text("\n".join([*lines[:2], lines[2].replace("scan-0", "scan-9"), *lines[3:]]) + "\n")
     damaged = read_current_queue(queue.out)
     assert damaged is not None
-    ended = worked(damaged)
+    ended = run_worker(damaged)
     assert ended["job 1"].state == FAILED
     assert "the line of this job is damaged; run the batch again" in ended["job 1"].reason
     assert [ended[f"scan-{k}"].state for k in (1, 2, 3)] == [DONE] * 3
 
 
 @pytest.mark.parametrize(("sent", "noted"), [(signal.SIGKILL, KILLED), (signal.SIGSEGV, CRASHED)])
-def test_a_job_whose_process_ends_by_itself_is_begun_again(
+def test_a_job_whose_process_dies_is_repeated(
     small_scans: Path, queue_of: Begin, sent: signal.Signals, noted: str
 ):
     queue = queue_of(small_scans)
     begun: list[JobStarted] = []
 
-    def tell(told: WorkerEvent) -> None:
-        if isinstance(told, JobStarted):
-            begun.append(told)
-        if isinstance(told, JobProgress) and len(begun) == 2:
-            os.kill(process_of(worker), sent)
+    def tell(event: WorkerEvent) -> None:
+        if isinstance(event, JobStarted):
+            begun.append(event)
+        if isinstance(event, JobProgress) and len(begun) == 2:
+            os.kill(get_job_pid(worker), sent)
 
     worker = Worker(queue, slots=1, threads=1, on_event=tell)
     worker.run()
-    # What ended is told apart from what was begun twice.
+    # The event of the killed process does not count as an end of the job.
     assert [one.name for one in begun].count("scan-0") == 2
     records = {one.name: one for one in summarize_batch(queue).records}
     assert (records["scan-0"].state, records["scan-0"].attempt) == (DONE, 1)
     assert Claims(queue.folder / "claims", "").read_claim(Claim(1, 0)).end == noted
 
 
-def test_a_job_that_crashes_its_process_is_given_up_and_no_other(small_scans: Path, queue_of: Begin):
+def test_a_job_that_crashes_repeatedly_is_given_up(small_scans: Path, queue_of: Begin):
     queue = queue_of(small_scans)
     at = ""
 
-    def tell(told: WorkerEvent) -> None:
+    def tell(event: WorkerEvent) -> None:
         nonlocal at
-        at = told.name if isinstance(told, JobStarted) else at
-        if isinstance(told, JobProgress) and at == "scan-2":
-            os.kill(process_of(worker), signal.SIGSEGV)
+        at = event.name if isinstance(event, JobStarted) else at
+        if isinstance(event, JobProgress) and at == "scan-2":
+            os.kill(get_job_pid(worker), signal.SIGSEGV)
 
     worker = Worker(queue, slots=1, threads=1, on_event=tell)
     worker.run()
@@ -136,26 +136,26 @@ def test_a_job_that_crashes_its_process_is_given_up_and_no_other(small_scans: Pa
     assert reason.startswith("the process of this scan crashed 2 times")
 
 
-def test_a_worker_that_is_interrupted_gives_its_job_back(small_scans: Path, queue_of: Begin, tmp_path: Path):
+def test_an_interrupted_worker_releases_its_job(small_scans: Path, queue_of: Begin, tmp_path: Path):
     queue = queue_of(small_scans, until="clean")
 
-    def interrupt(told: WorkerEvent) -> None:
-        if isinstance(told, JobProgress) and told.stage == "fuse":
+    def interrupt(event: WorkerEvent) -> None:
+        if isinstance(event, JobProgress) and event.stage == "fuse":
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
         Worker(queue, slots=1, threads=1, on_event=interrupt).run()
-    # `broken` was first.
+    # Job 0 is `broken`.
     assert Claims(queue.folder / "claims", "").read_claim(Claim(1, 0)).end == RELEASED
     started = time.monotonic()
-    ended = worked(queue)
-    assert time.monotonic() - started < 50, "nobody waits for one that said it ended"
+    ended = run_worker(queue)
+    assert time.monotonic() - started < 50, "an ended worker is not waited for"
     assert (ended["scan-0"].state, ended["scan-0"].attempt) == (DONE, 1)
     assert ended["scan-0"].metrics["stages_cached"] >= 1
     assert not list((tmp_path / "out" / "cache" / "drafts").iterdir())
 
 
-def test_a_full_disk_ends_the_worker_in_one_sentence_and_loses_nothing(
+def test_a_full_disk_stops_the_worker_with_one_error(
     small_scans: Path, queue_of: Begin, monkeypatch: pytest.MonkeyPatch
 ):
     queue = queue_of(small_scans)
@@ -165,12 +165,10 @@ def test_a_full_disk_ends_the_worker_in_one_sentence_and_loses_nothing(
             StageError, match=r"the queue .* cannot be worked on: the disk is full; free disk space"
         ):
             Worker(queue, slots=1, threads=1).run()
-    assert worked(queue)["scan-3"].state == DONE
+    assert run_worker(queue)["scan-3"].state == DONE
 
 
-def test_a_queue_that_may_only_be_read_is_told(
-    small_scans: Path, queue_of: Begin, monkeypatch: pytest.MonkeyPatch
-):
+def test_a_read_only_queue_is_reported(small_scans: Path, queue_of: Begin, monkeypatch: pytest.MonkeyPatch):
     queue = queue_of(small_scans)
     usual = os.open
 
@@ -184,7 +182,7 @@ def test_a_queue_that_may_only_be_read_is_told(
         Worker(queue, slots=1, threads=1).run()
 
 
-def test_workers_that_are_killed_lose_nothing(small_scans: Path, queue_of: Begin, tmp_path: Path):
+def test_killed_workers_lose_no_scan(small_scans: Path, queue_of: Begin, tmp_path: Path):
     quiet = tmp_path / "quiet"
     for number in range(4):
         run(small_scans / f"scan-{number}", quiet / f"scan-{number}", Config(), until="clean")
@@ -202,12 +200,12 @@ def test_workers_that_are_killed_lose_nothing(small_scans: Path, queue_of: Begin
         "-q",
     ]
 
-    def started() -> subprocess.Popen[bytes]:
+    def start_worker() -> subprocess.Popen[bytes]:
         return subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
 
-    draw, workers, kills = random.Random(3), [started(), started()], 0
+    draw, workers, kills = random.Random(3), [start_worker(), start_worker()], 0
     while any(one.poll() is None for one in workers):
-        # When one has come as far as a job.
+        # Wait until a worker has reached a job.
         time.sleep(draw.uniform(0.5, 1.5))
         at = kills % 2
         if kills < 4 and workers[at].poll() is None and list((queue.folder / "claims").iterdir()):
@@ -217,18 +215,18 @@ def test_workers_that_are_killed_lose_nothing(small_scans: Path, queue_of: Begin
             kills += 1
             if not (jobs and (kills - 1) % 3 == 2):
                 workers[at].wait()
-                workers[at] = started()
+                workers[at] = start_worker()
     assert kills >= 2
-    assert all(one.returncode in (1, -9) for one in workers)  # `broken` is not done
+    assert all(one.returncode in (1, -9) for one in workers)  # The batch fails because `broken` is unusable.
     ends = Counter(claim.number for claim in JobRecords(queue.folder / "done").list_finished())
     assert sorted(ends) == [0, 1, 2, 3, 4]
     assert sum(count > 1 for count in ends.values()) <= kills
     for number in range(4):
         name = f"scan-{number}"
-        assert results(queue.out / name) == results(quiet / name) != {}
+        assert read_meshes(queue.out / name) == read_meshes(quiet / name) != {}
 
 
-def test_a_worker_that_does_not_stay_ends_when_nothing_is_left_to_take(small_scans: Path, queue_of: Begin):
+def test_a_worker_that_does_not_wait_ends_when_no_job_is_free(small_scans: Path, queue_of: Begin):
     queue = queue_of(small_scans)
     claims = Claims(queue.folder / "claims", "other")
     assert claims.take(Claim(4, 0))

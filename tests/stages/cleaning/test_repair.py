@@ -1,7 +1,4 @@
-"""Repairs.
-
-Each planted defect is found and repaired or reported, other data is bit-identical, the bound holds.
-"""
+"""Repairs: planted defects are repaired or reported, other data is bit-identical, and the bound holds."""
 
 from __future__ import annotations
 

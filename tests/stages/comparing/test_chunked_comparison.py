@@ -1,4 +1,4 @@
-"""Distances from and to a chunked mesh equal those of the mesh in memory, also at faces between chunks."""
+"""Distances from and to a chunked mesh equal in-memory distances, also at faces between chunks."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Distance colours: dark for small distances, the last colour for large ones."""
+"""Distance colours: brighter for larger distances, with a single colour above full scale."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Room for the buffers of OpenBLAS is asked for before it is needed."""
+"""Buffers of OpenBLAS are reserved before their first use."""
 
 import os
 import subprocess
@@ -20,7 +20,7 @@ except MemoryError:
 
 @pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="the address space is limited as Linux does it")
-def test_no_room_for_a_buffer_is_an_error_and_no_end_of_the_process():
+def test_a_failed_reservation_raises_memory_error():
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}
     run = subprocess.run([sys.executable, "-c", LACKING], env=environment, capture_output=True, text=True)
     assert (run.returncode, run.stdout, run.stderr) == (0, "memory\n", "")

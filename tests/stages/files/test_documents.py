@@ -1,4 +1,4 @@
-"""Documents made to keep a parser busy, or to break what reads them, are one sentence."""
+"""Malicious documents, which would stall or break a parser, give one error."""
 
 from __future__ import annotations
 
@@ -34,11 +34,11 @@ DEEP = {
 
 
 @pytest.mark.parametrize("name", DEEP)
-def test_what_is_nested_far_too_deep_is_one_sentence(tmp_path: Path, name: str) -> None:
-    """YAML of this kind took minutes, and what Python parsed of JSON broke the walks over it."""
+def test_deep_nesting_is_one_error(tmp_path: Path, name: str) -> None:
+    """Such YAML took minutes to parse; such JSON exceeded the recursion limit of its readers."""
     (tmp_path / name).write_text(DEEP[name])
-    said = "is not valid JSON" if name.endswith(".json") else "does not parse: it is nested"
-    with pytest.raises(InputError, match=rf"{name}: the file {said}"):
+    message = "is not valid JSON" if name.endswith(".json") else "does not parse: it is nested"
+    with pytest.raises(InputError, match=rf"{name}: the file {message}"):
         read_document(tmp_path / name)
     if name.endswith(".json"):
         with pytest.raises(InputError, match=rf"{name}: the file is not valid JSON"):
@@ -48,7 +48,7 @@ def test_what_is_nested_far_too_deep_is_one_sentence(tmp_path: Path, name: str) 
             Config.load(tmp_path / name)
 
 
-def test_what_documents_have_is_not_too_deep(tmp_path: Path) -> None:
+def test_normal_nesting_is_accepted(tmp_path: Path) -> None:
     (tmp_path / "a.yaml").write_text("a: [[[[1, 2]]]]\nb:\n  - c:\n      - d: {e: {f: 1.5}}\n")
     assert read_document(tmp_path / "a.yaml") == {"a": [[[[1, 2]]]], "b": [{"c": [{"d": {"e": {"f": 1.5}}}]}]}
     (tmp_path / "a.toml").write_text("# " + "." * 100 + "\n" + f"a = [{'1.0, ' * 500}]\n[b.c.d]\ne = 'f.g'\n")
@@ -66,18 +66,18 @@ LONG = {
 
 
 @pytest.mark.parametrize("name", LONG)
-def test_numbers_of_thousands_of_digits_are_one_sentence(tmp_path: Path, name: str) -> None:
-    text, said = LONG[name]
+def test_numbers_with_thousands_of_digits_are_one_error(tmp_path: Path, name: str) -> None:
+    text, message = LONG[name]
     (tmp_path / name).write_text(text)
-    with pytest.raises(InputError, match=rf"{name}: the file does not parse: {said}\.$"):
+    with pytest.raises(InputError, match=rf"{name}: the file does not parse: {message}\.$"):
         read_document(tmp_path / name)
     if name.endswith(".toml"):
-        with pytest.raises(UsageError, match=rf"{name}: this is not TOML \({said}\)\.$"):
+        with pytest.raises(UsageError, match=rf"{name}: this is not TOML \({message}\)\.$"):
             Config.load(tmp_path / name)
 
 
-def test_numbers_to_base_60_are_words(tmp_path: Path) -> None:
-    """A quarter of a megabyte of them was multiplied for minutes; nobody means ninety by 1:30."""
+def test_sexagesimal_numbers_are_text(tmp_path: Path) -> None:
+    """A file of 256 kB with such numbers took minutes, and 1:30 is not intended as 90."""
     lines = ("a: 1" + ":10" * 60_000, "b: 1:30", "c: 1:30.5", "d: 0x1f", "e: -1_0", "f: 1.5e+3")
     (tmp_path / "a.yaml").write_text("\n".join(lines))
     found = read_document(tmp_path / "a.yaml")
@@ -86,26 +86,26 @@ def test_numbers_to_base_60_are_words(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["a.yaml", "a.toml", "a.json", "a.xml"])
-def test_a_document_of_megabytes_is_refused_unread(tmp_path: Path, name: str) -> None:
+def test_a_document_of_megabytes_is_refused_before_reading(tmp_path: Path, name: str) -> None:
     (tmp_path / name).write_bytes(b" " * (5 << 20))
     with pytest.raises(InputError, match="the file is too large: it has 5,242,880 bytes, and at most"):
         read_document(tmp_path / name)
 
 
-def test_a_configuration_of_megabytes_is_refused_unread(tmp_path: Path) -> None:
+def test_a_configuration_of_megabytes_is_refused_before_reading(tmp_path: Path) -> None:
     (tmp_path / "a.toml").write_bytes(b"\n" * (5 << 20))
     with pytest.raises(UsageError, match=r"a\.toml: the file is too large for a configuration"):
         Config.load(tmp_path / "a.toml")
 
 
-def test_names_of_thousands_of_digits_have_numbers() -> None:
+def test_thousands_of_digits_in_a_name_are_truncated() -> None:
     assert extract_numbers("9" * 10_000) == (int("9" * 255),)
     assert extract_numbers("cam0_0012") == (0, 12)
 
 
 @pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "utf-16-le", "utf-16-be", "latin-1"])
 @pytest.mark.parametrize("end", ["\n", "\r\n", "\r"])
-def test_texts_of_other_systems_are_read(tmp_path, encoding, end):
+def test_encodings_and_line_ends_of_all_systems_are_read(tmp_path, encoding, end):
     mark = {"utf-16-le": b"\xff\xfe", "utf-16-be": b"\xfe\xff"}.get(encoding, b"")
     text = f"# Gr\u00f6\u00dfe{end}1 2{end}3 4{end}"
     (tmp_path / "a.txt").write_bytes(mark + text.encode(encoding))
@@ -113,7 +113,7 @@ def test_texts_of_other_systems_are_read(tmp_path, encoding, end):
 
 
 @pytest.mark.parametrize("data", [b"\x00\x01\x02\xff", b"\xff\xfe\x00\xd8", b"1 2\x00\xe9"])
-def test_what_is_no_text_is_told(tmp_path, data):
+def test_binary_files_are_refused(tmp_path, data):
     (tmp_path / "a.txt").write_bytes(data)
     with pytest.raises(InputError, match="a text file is expected; this one is binary"):
         documents.read_text(tmp_path / "a.txt")
@@ -132,17 +132,17 @@ def test_what_is_no_text_is_told(tmp_path, data):
         ("1,2", [1, 2]),
     ],
 )
-def test_numbers_on_a_line(line, numbers):
+def test_number_rows_are_parsed(line, numbers):
     assert parse_number_row(line) == numbers
 
 
 @pytest.mark.parametrize("line", ["1 a", "1,,2", "0,5 a", "1.5,5 0.3x"])
-def test_what_is_no_number_ends_the_line(line):
+def test_text_in_a_number_row_is_an_error(line):
     with pytest.raises(ValueError, match="could not convert"):
         parse_number_row(line)
 
 
-def test_names_of_lists_written_on_windows(tmp_path):
+def test_backslashes_of_windows_are_path_separators(tmp_path):
     assert documents.require_inside("rgb\\1.png", tmp_path, "line 1") == "rgb/1.png"
     with pytest.raises(InputError, match="is not a path inside the folder"):
         documents.require_inside("..\\1.png", tmp_path, "line 1")
@@ -150,7 +150,7 @@ def test_names_of_lists_written_on_windows(tmp_path):
 
 @pytest.mark.parametrize("name", ["a.json", "a.yaml"])
 def test_integers_beyond_64_bits_are_floats(tmp_path: Path, name: str) -> None:
-    """Their conversion to float64 raised OverflowError in many readers, such as that of shutter_turn."""
+    """Their conversion to float64 raised OverflowError in many readers."""
     path = tmp_path / name
     for digits in ("9" * 19, "1" + "0" * 30, "9" * 399, "-" + "9" * 399):
         path.write_text(f'{{"a": [{digits}, 7]}}')

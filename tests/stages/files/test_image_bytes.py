@@ -1,4 +1,4 @@
-"""What an image states of its size is looked at before anything is decoded."""
+"""Image sizes in headers are checked before decoding."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ from scanloom.stages.files.images import read_image_size, read_stored_image
 SMALL = np.full((3, 5, 3), 7, np.uint8)
 
 
-def png(width: int, height: int) -> bytes:
-    """A PNG that states this size and holds the pixels of another."""
+def make_png(width: int, height: int) -> bytes:
+    """Make a PNG whose header states another size than its pixels."""
     data = bytearray(encode_png(SMALL))
     data[16:24] = struct.pack(">2I", width, height)
     data[29:33] = struct.pack(">I", zlib.crc32(data[12:29]))
     return bytes(data)
 
 
-def tiff(width: int, height: int) -> bytes:
+def make_tiff(width: int, height: int) -> bytes:
     held = io.BytesIO()
     Image.fromarray(SMALL).save(held, "TIFF")
     data = bytearray(held.getvalue())
@@ -40,16 +40,16 @@ def tiff(width: int, height: int) -> bytes:
     return bytes(data)
 
 
-@pytest.mark.parametrize("make", [png, tiff])
-def test_sizes_are_told_from_the_header(make) -> None:
+@pytest.mark.parametrize("make", [make_png, make_tiff])
+def test_sizes_are_read_from_the_header(make) -> None:
     assert read_header_size(make(5, 3)) == (5, 3)
     assert read_header_size(make(50_000, 40_000)) == (50_000, 40_000)
 
 
-@pytest.mark.parametrize("make", [png, tiff])
+@pytest.mark.parametrize("make", [make_png, make_tiff])
 @pytest.mark.parametrize("size", [(5, 0), (0, 3), (0, 0), (60_000, 60_000)])
-def test_images_that_cannot_be_are_refused(tmp_path: Path, make, size: tuple[int, int]) -> None:
-    """A height of 0 was divided by."""
+def test_impossible_sizes_are_refused(tmp_path: Path, make, size: tuple[int, int]) -> None:
+    """A height of 0 led to a division by zero."""
     path = tmp_path / "a.png"
     path.write_bytes(make(*size))
     for read in (read_image_size, read_stored_image):
@@ -58,7 +58,7 @@ def test_images_that_cannot_be_are_refused(tmp_path: Path, make, size: tuple[int
     assert decode_image(make(*size)) is None
 
 
-def test_a_part_of_a_png_that_claims_gigabytes_is_not_reserved() -> None:
+def test_a_png_chunk_that_claims_gigabytes_allocates_no_memory() -> None:
     data = bytearray(encode_png(SMALL))
     at = data.index(b"IDAT") - 4
     data[at : at + 4] = (0x7FFFFFF0).to_bytes(4, "big")

@@ -34,8 +34,8 @@ DECODED = ("PNG", "JPEG", "BMP", "GIF", "TIFF", "WEBP", "TGA", "PPM")
 REFUSED = ("EPS", "AVIF", "BLP", "DDS", "IM", "JPEG2000", "PCX", "SGI", "ICO", "MSP", "XBM", "PDF")
 
 
-def encoded(kind: str, pixels: np.ndarray[Any, Any] = PIXELS) -> bytes:
-    if kind == "IM":  # whose writer is deprecated
+def encode_image(kind: str, pixels: np.ndarray[Any, Any] = PIXELS) -> bytes:
+    if kind == "IM":  # The writer of this format is deprecated.
         return b"Image type: L image\r\nImage size (x*y): 5*3\r\nFile size (no of images): 1\r\n".ljust(
             600, b"\x1a"
         )
@@ -52,9 +52,9 @@ def encoded(kind: str, pixels: np.ndarray[Any, Any] = PIXELS) -> bytes:
     return out.getvalue()
 
 
-def huge_jpeg_2000(width: int, height: int) -> bytes:
-    """A codestream of some hundred bytes that states this size as one tile."""
-    data = bytearray(encoded("JPEG2000"))
+def make_huge_jpeg_2000(width: int, height: int) -> bytes:
+    """Make a codestream of some hundred bytes that states this size as one tile."""
+    data = bytearray(encode_image("JPEG2000"))
     at = data.index(b"\xff\x51") + 6
     struct.pack_into(">8I", data, at, width, height, 0, 0, width, height, 0, 0)
     return bytes(data)
@@ -70,7 +70,7 @@ def no_program_starts(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.parametrize("kind", DECODED)
 def test_formats_are_decoded_by_their_content(kind: str) -> None:
-    data = encoded(kind)
+    data = encode_image(kind)
     assert read_header_size(data, "a.tga") == (5, 3)
     pixels = decode_image(data, "a.tga")
     assert pixels is not None
@@ -81,8 +81,8 @@ def test_formats_are_decoded_by_their_content(kind: str) -> None:
 @pytest.mark.parametrize("kind", REFUSED)
 @pytest.mark.parametrize("name", ["a.tga", "a.png", "a.jpg"])
 def test_other_formats_reach_no_decoder(tmp_path: Path, kind: str, name: str) -> None:
-    """EPS started Ghostscript; AVIF, BLP, DDS and IM ended in errors of the decoder."""
-    data = encoded(kind)
+    """EPS started Ghostscript; AVIF, BLP, DDS and IM raised errors of the decoder."""
+    data = encode_image(kind)
     assert detect_image_format(data, name) == ""
     assert decode_image(data, name) is None
     path = tmp_path / name
@@ -108,8 +108,8 @@ def test_other_formats_reach_no_decoder(tmp_path: Path, kind: str, name: str) ->
 
 
 def test_a_small_jpeg_2000_file_of_a_huge_image_is_not_decoded(tmp_path: Path) -> None:
-    """202 bytes led to 12.7 GB."""
-    data = huge_jpeg_2000(30_000, 30_000)
+    """A file of 202 bytes used 12.7 GB."""
+    data = make_huge_jpeg_2000(30_000, 30_000)
     started = time.process_time()
     path = tmp_path / "a.png"
     path.write_bytes(data)
@@ -120,9 +120,9 @@ def test_a_small_jpeg_2000_file_of_a_huge_image_is_not_decoded(tmp_path: Path) -
     assert time.process_time() - started < 1
 
 
-def stated(kind: str, width: int, height: int) -> bytes:
-    """The header of an image of a format that states this size."""
-    data = bytearray(encoded(kind))
+def make_header(kind: str, width: int, height: int) -> bytes:
+    """Make an image whose header states this size."""
+    data = bytearray(encode_image(kind))
     match kind:
         case "JPEG":
             at = data.index(b"\xff\xc0") + 5
@@ -144,7 +144,7 @@ def stated(kind: str, width: int, height: int) -> bytes:
 
 @pytest.mark.parametrize("kind", ["JPEG", "BMP", "GIF", "TGA", "WEBP", "PPM"])
 def test_sizes_are_checked_before_decoding(kind: str) -> None:
-    data = stated(kind, 60_000, 50_000)
+    data = make_header(kind, 60_000, 50_000)
     assert read_header_size(data, "a.tga") == (60_000, 50_000)
     assert decode_image(data, "a.tga") is None
     if kind != "TGA":
@@ -153,8 +153,8 @@ def test_sizes_are_checked_before_decoding(kind: str) -> None:
 
 
 @pytest.mark.parametrize("kind", DECODED)
-def test_damaged_images_are_images_or_none(kind: str) -> None:
-    whole = encoded(kind, np.tile(PIXELS, (4, 3, 1)))
+def test_damaged_images_are_decoded_or_refused(kind: str) -> None:
+    whole = encode_image(kind, np.tile(PIXELS, (4, 3, 1)))
     draw = random.Random(7)
     for _ in range(150):
         data = bytearray(whole)

@@ -1,4 +1,4 @@
-"""Inputs are regular files: nothing else is opened, wherever an input is named."""
+"""Inputs must be regular files; other files are never opened."""
 
 from __future__ import annotations
 
@@ -42,33 +42,33 @@ from scanloom.stages.surface.mesh_files import read_mesh, write_mesh
 ROOT = Path(__file__).parents[3]
 
 
-def pipe(path: Path) -> None:
+def make_pipe(path: Path) -> None:
     os.mkfifo(path)
 
 
-def a_socket(path: Path) -> None:
+def make_socket(path: Path) -> None:
     with socket.socket(socket.AF_UNIX) as made:
         here = Path.cwd()
-        os.chdir(path.parent)  # The address of a socket may be 107 bytes long.
+        os.chdir(path.parent)  # The address of a socket is limited to 107 bytes.
         try:
             made.bind(path.name)
         finally:
             os.chdir(here)
 
 
-def endless_device(path: Path) -> None:
+def make_endless_device(path: Path) -> None:
     path.symlink_to("/dev/zero")
 
 
-def folder(path: Path) -> None:
+def make_folder(path: Path) -> None:
     path.mkdir()
 
 
-KINDS = [pipe, a_socket, endless_device, folder]
+KINDS = [make_pipe, make_socket, make_endless_device, make_folder]
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_what_is_no_regular_file_is_refused_unopened(tmp_path: Path, kind: Callable[[Path], None]) -> None:
+def test_special_files_are_refused_unopened(tmp_path: Path, kind: Callable[[Path], None]) -> None:
     path = tmp_path / "input"
     kind(path)
     for read in (
@@ -127,7 +127,7 @@ READERS = {
 
 @pytest.mark.parametrize("kind", KINDS[:3])
 @pytest.mark.parametrize("name", READERS)
-def test_every_reader_says_so_in_one_sentence(
+def test_every_reader_refuses_special_files_with_one_error(
     tmp_path: Path, name: str, kind: Callable[[Path], None]
 ) -> None:
     kind(tmp_path / name)
@@ -136,14 +136,16 @@ def test_every_reader_says_so_in_one_sentence(
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_configuration_is_a_file(tmp_path: Path, kind: Callable[[Path], None]) -> None:
+def test_a_configuration_must_be_a_regular_file(tmp_path: Path, kind: Callable[[Path], None]) -> None:
     kind(tmp_path / "c.toml")
     with pytest.raises(UsageError, match=r"c\.toml: the config file cannot be read"):
         Config.load(tmp_path / "c.toml")
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_files_that_a_mesh_names_are_files(tmp_path: Path, kind: Callable[[Path], None]) -> None:
+def test_files_referenced_by_a_mesh_must_be_regular_files(
+    tmp_path: Path, kind: Callable[[Path], None]
+) -> None:
     write_mesh(tmp_path / "a.gltf", ball())
     (tmp_path / "a.bin").unlink()
     kind(tmp_path / "a.bin")
@@ -160,7 +162,7 @@ def test_files_that_a_mesh_names_are_files(tmp_path: Path, kind: Callable[[Path]
 
 
 @pytest.mark.parametrize("kind", KINDS[:3])
-def test_images_of_a_scan_are_files(tmp_path: Path, kind: Callable[[Path], None]) -> None:
+def test_images_of_a_scan_must_be_regular_files(tmp_path: Path, kind: Callable[[Path], None]) -> None:
     frames = [{"depth": "0.png", "world_from_camera": np.eye(4).tolist()}]
     (tmp_path / "scan.json").write_text(json.dumps({"frames": frames}))
     kind(tmp_path / "0.png")
@@ -168,41 +170,41 @@ def test_images_of_a_scan_are_files(tmp_path: Path, kind: Callable[[Path], None]
         read_scan(tmp_path)
 
 
-# What opens files by itself, and who may: what is opened there is the program's own, or was looked at before.
+# Modules that may open files directly: files created by the program itself, or files checked before.
 ALLOWED = {
     "stages/files/input_files.py": {"fdopen", "open"},
-    "stages/files/exr.py": {"File"},  # after content_of
-    "stages/files/numpy_files.py": {"np.load"},  # require_regular
-    "stages/files/subprocess_reader.py": {"read_text"},  # of the system
-    "stages/stereo/networks/worker.py": {"fdopen"},  # a pipe of its own
-    "stages/files/zip_archives.py": {"ZipFile", "open"},  # require_regular, entries
-    "stages/files/atomic_files.py": {"open"},  # a draft of its own
-    "stages/simplification/records/archive.py": {"open", "ZipFile"},  # what is opened already, and a draft
+    "stages/files/exr.py": {"File"},  # after read_input_bytes
+    "stages/files/numpy_files.py": {"np.load"},  # after require_regular_file
+    "stages/files/subprocess_reader.py": {"read_text"},  # file of the operating system
+    "stages/stereo/networks/worker.py": {"fdopen"},  # its own pipe
+    "stages/files/zip_archives.py": {"ZipFile", "open"},  # after require_regular_file; entries
+    "stages/files/atomic_files.py": {"open"},  # its own draft
+    "stages/simplification/records/archive.py": {"open", "ZipFile"},  # a file opened before, and a draft
     "stages/surface/formats/gltf_writer.py": {"open"},  # drafts
     "stages/surface/formats/ply.py": {"open"},  # drafts
     "stages/surface/formats/obj.py": {"open"},  # drafts
     "stages/files/image_bytes.py": {"Image.open"},  # bytes in memory
-    "stages/surface/formats/cloud_chunks.py": {"open", "fromfile"},  # in a folder of its own
-    "stages/surface/formats/las.py": {"open"},  # what is opened already
+    "stages/surface/formats/cloud_chunks.py": {"open", "fromfile"},  # in its own folder
+    "stages/surface/formats/las.py": {"open"},  # a file opened before
     "stages/surface/mesh_files.py": {"load_scene"},  # bytes in memory
-    "stages/scans/recordings/db3.py": {"connect"},  # after opened
-    "stages/scans/model/video.py": {"VideoCapture"},  # after opened
-    "stages/rendering/video.py": {"open"},  # an encoder, of a draft
+    "stages/scans/recordings/db3.py": {"connect"},  # after open_input
+    "stages/scans/model/video.py": {"VideoCapture"},  # after open_input
+    "stages/rendering/video.py": {"open"},  # encoder of a draft
     "pipeline/cache/store.py": {"open"},  # locks and marks of the cache
-    "pipeline/cache/posix.py": {"open", "read_text"},  # locks, what is flushed; of the system
-    "pipeline/cache/windows.py": {"open"},  # what is flushed
-    "pipeline/artifacts/adjusted_cameras.py": {"read_text"},  # files of an entry, verified
-    "pipeline/artifacts/poses.py": {"read_text"},  # files of an entry, verified
-    "pipeline/batch/job_process.py": {"fdopen"},  # a pipe of its own
-    "pipeline/batch/claims.py": {"open"},  # marks that are made, and never read
-    "pipeline/batch/heartbeat.py": {"open"},  # a mark of its own, written
-    "pipeline/batch/process_handle.py": {"open"},  # a log of its own, written
+    "pipeline/cache/posix.py": {"open", "read_text"},  # locks and flushed files; file of the operating system
+    "pipeline/cache/windows.py": {"open"},  # flushed files
+    "pipeline/artifacts/adjusted_cameras.py": {"read_text"},  # verified files of a cache entry
+    "pipeline/artifacts/poses.py": {"read_text"},  # verified files of a cache entry
+    "pipeline/batch/job_process.py": {"fdopen"},  # its own pipe
+    "pipeline/batch/claims.py": {"open"},  # marks that are created and never read
+    "pipeline/batch/heartbeat.py": {"open"},  # its own mark, written
+    "pipeline/batch/process_handle.py": {"open"},  # its own log, written
     "pipeline/batch/atomic_write.py": {"open"},  # a draft
-    "stages/cleaning/chunked_clean.py": {"memmap"},  # in a folder of its own
-    "stages/fusion/brick_stitching.py": {"np.load"},  # files of an entry, verified, or in a folder of its own
-    "stages/simplification/boundary_strips.py": {"np.load"},  # in a folder of its own
-    "stages/surface/chunked_ply.py": {"memmap", "open"},  # after opened, and a draft
-    "cli/app.py": {"open"},  # the null device
+    "stages/cleaning/chunked_clean.py": {"memmap"},  # in its own folder
+    "stages/fusion/brick_stitching.py": {"np.load"},  # verified files of a cache entry, or in its own folder
+    "stages/simplification/boundary_strips.py": {"np.load"},  # in its own folder
+    "stages/surface/chunked_ply.py": {"memmap", "open"},  # after open_input, and a draft
+    "cli/app.py": {"open"},  # null device
     "cli/commands/doctor.py": {"ZipFile"},  # a draft
 }
 OPENERS = {
@@ -210,11 +212,11 @@ OPENERS = {
     *("VideoCapture", "ZipFile", "load_scene", "load_mesh", "connect", "File", "FileStorage", "mmap_array"),
     *("read_triangle_mesh", "read_point_cloud", "read_image", "AnyReader"),
 }
-# Names that other things have, too: only these count.
+# Unspecific names, which count only with their module.
 WHOLE = {"np.load", "numpy.load", "Image.open", "trimesh.load"}
 
 
-def opening_calls(nodes: list[ast.AST]) -> Iterator[str]:
+def list_opening_calls(nodes: list[ast.AST]) -> Iterator[str]:
     for node in nodes:
         if isinstance(node, ast.Call):
             whole = ast.unparse(node.func)
@@ -225,33 +227,33 @@ def opening_calls(nodes: list[ast.AST]) -> Iterator[str]:
                 yield name
 
 
-def imported_from_ours(nodes: list[ast.AST]) -> set[str]:
+def list_own_imports(nodes: list[ast.AST]) -> set[str]:
     imports = (node for node in nodes if isinstance(node, ast.ImportFrom))
     ours = (node for node in imports if (node.module or "").startswith("scanloom."))
     return {alias.name for node in ours for alias in node.names}
 
 
 @pytest.mark.slow
-def test_nothing_else_opens_files() -> None:
+def test_no_other_module_opens_files_directly() -> None:
     beyond: dict[str, set[str]] = {}
     for path in (
         path for room in ("stages", "pipeline", "cli") for path in sorted((ROOT / room).rglob("*.py"))
     ):
         nodes = list(ast.walk(ast.parse(path.read_text(encoding="utf-8"))))
-        # Methods of a class of one's own, and functions that go through `opening`, have such names too.
+        # Methods of own classes, and functions based on `open_input`, have the same names.
         own = {node.name for node in nodes if isinstance(node, (ast.FunctionDef, ast.ClassDef))}
         name = path.relative_to(ROOT).as_posix()
-        calls = set(opening_calls(nodes)) - own - imported_from_ours(nodes) - ALLOWED.get(name, set())
+        calls = set(list_opening_calls(nodes)) - own - list_own_imports(nodes) - ALLOWED.get(name, set())
         if calls:
             beyond[name] = calls
     assert beyond == {}
 
 
 @pytest.mark.parametrize("ending", ["-wal", "-journal", "-shm"])
-def test_what_a_database_reads_beside_it_is_a_file(tmp_path: Path, ending: str) -> None:
+def test_companion_files_of_a_database_must_be_regular_files(tmp_path: Path, ending: str) -> None:
     with sqlite3.connect(tmp_path / "a.db3") as connection:
         connection.execute("CREATE TABLE topics (id INTEGER)")
     connection.close()
-    pipe(tmp_path / f"a.db3{ending}")
+    make_pipe(tmp_path / f"a.db3{ending}")
     with pytest.raises(InputError, match=r"a\.db3: the file cannot be read \(it is a pipe, not a file\)"):
         read_db3(tmp_path / "a.db3")

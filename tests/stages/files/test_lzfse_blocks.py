@@ -21,13 +21,13 @@ RNG = np.random.default_rng(0)
         b"abc" * 500,
     ],
 )
-def test_what_was_compressed_comes_out(raw):
+def test_compression_is_inverted(raw):
     data = lzfse.compress(raw)
     assert sum_block_sizes(data) == len(raw)
     assert decompress_lzfse(data, len(raw), "a") == raw
 
 
-def test_another_size_is_refused_before_anything_is_decompressed(monkeypatch):
+def test_an_unexpected_size_is_refused_before_decompression(monkeypatch):
     data = lzfse.compress(bytes(1 << 20))
     monkeypatch.setattr(lzfse, "decompress", lambda _: pytest.fail("it was decompressed"))
     with pytest.raises(InputError, match="a: it decompresses to 1048576 bytes, but 100 are expected"):
@@ -40,7 +40,7 @@ def test_thousands_of_tiny_blocks_are_refused():
     assert sum_block_sizes(block * 5000 + b"bvx$") is None
 
 
-def test_cut_short_or_damaged_it_is_an_error_or_other_bytes():
+def test_truncation_is_an_error_and_damage_gives_an_error_or_other_bytes():
     raw = RNG.uniform(0.5, 4, 2000).astype(np.float32).tobytes()
     data = lzfse.compress(raw)
     for length in range(0, len(data), 101):

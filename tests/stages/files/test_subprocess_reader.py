@@ -1,4 +1,4 @@
-"""What a library does to its process stays there: crashes, memory, time; answers and sentences come back."""
+"""Reader subprocesses contain crashes, memory and time limits of a library; results and errors return."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ BODIES = {
 }
 
 
-def module_of(body: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> str:
+def write_module(body: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> str:
     text = "from scanloom.stages.diagnostics.codes import MACHINE_BUG\n"
     text += "from scanloom.stages.diagnostics.collector import emit\n"
     text += "from scanloom.stages.diagnostics.errors import InputError\n"
@@ -34,20 +34,20 @@ def module_of(body: str, folder: Path, monkeypatch: pytest.MonkeyPatch) -> str:
     return "made_for_a_test"
 
 
-def test_words_go_in_and_an_answer_comes_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    module = module_of(BODIES["answers"], tmp_path, monkeypatch)
+def test_arguments_are_passed_and_a_result_returns(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    module = write_module(BODIES["answers"], tmp_path, monkeypatch)
     words = ["a b", "-c", "\u00e4\n'"]
     assert run_reader_subprocess(module, words, 20) == {"words": words}
 
 
-def test_a_sentence_about_the_file_comes_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    module = module_of(BODIES["refuses"], tmp_path, monkeypatch)
+def test_an_input_error_returns(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    module = write_module(BODIES["refuses"], tmp_path, monkeypatch)
     with pytest.raises(InputError, match=r"^a\.las: is no cloud\.$"):
         run_reader_subprocess(module, ["a.las"], 20)
 
 
-def test_what_it_emits_is_emitted_here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    module = module_of(BODIES["warns"], tmp_path, monkeypatch)
+def test_warnings_of_the_subprocess_are_emitted(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    module = write_module(BODIES["warns"], tmp_path, monkeypatch)
     with collecting() as found:
         assert run_reader_subprocess(module, ["a.las"], 20) == {}
     assert [str(one) for one in found] == ["a.las: 2 points are odd"]
@@ -55,8 +55,10 @@ def test_what_it_emits_is_emitted_here(tmp_path: Path, monkeypatch: pytest.Monke
 
 
 @pytest.mark.parametrize("name", ["aborts", "fails", "fails_as_rust_does", "leaves"])
-def test_what_ends_it_ends_nothing_else(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    module = module_of(BODIES[name], tmp_path, monkeypatch)
+def test_a_dying_subprocess_raises_an_error(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    module = write_module(BODIES[name], tmp_path, monkeypatch)
     with pytest.raises(SubprocessDiedError):
         run_reader_subprocess(module, [], 20)
 
@@ -64,6 +66,6 @@ def test_what_ends_it_ends_nothing_else(name: str, tmp_path: Path, monkeypatch: 
 @pytest.mark.skipif(sys.platform != "linux", reason="memory and time are limited as Linux does it")
 @pytest.mark.parametrize("body", ["bytearray(3 << 30)", "\n    while True: pass"])
 def test_memory_and_time_are_limited(body: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    module = module_of(body, tmp_path, monkeypatch)
+    module = write_module(body, tmp_path, monkeypatch)
     with pytest.raises(SubprocessDiedError):
         run_reader_subprocess(module, [], 0.5)

@@ -56,7 +56,7 @@ def test_planes_are_kept_for_any_photo(factor, slope, seed):
     found = upsample_depth(compute_plane_depth(SMALL, 1.0, *slope), color, factor)
     inside = slice(factor, -factor), slice(factor, -factor)
     truth = compute_plane_depth(large, 1.0, *slope)
-    # Where neighbours may be on two surfaces because the plane is so oblique, the slope is underestimated.
+    # Neighbours on an oblique plane may count as two surfaces; there the slope is underestimated.
     np.testing.assert_allclose(found[inside], truth[inside], rtol=1e-3)
     assert np.mean(np.abs(found[inside] / truth[inside] - 1) < 1e-5) > 0.9
 
@@ -118,7 +118,7 @@ def test_tiny_depth_maps_are_repeated(depth):
     np.testing.assert_array_equal(found, np.repeat(np.repeat(depth, 2, axis=0), 2, axis=1))
 
 
-def test_noise_alone_gives_finite_depth_within_what_was_measured():
+def test_pure_noise_gives_finite_depth_in_the_measured_range():
     small = np.random.default_rng(6).uniform(0.2, 9, (25, 30)).astype(np.float32)
     color = np.random.default_rng(7).integers(0, 256, (50, 60, 3)).astype(np.uint8)
     found = upsample_depth(small, color, 2)

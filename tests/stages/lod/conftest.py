@@ -1,4 +1,4 @@
-"""Hierarchies that several tests look at, built once."""
+"""Level-of-detail hierarchies shared by several tests, built once."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ MESHES = {"ball": ball, "ring": ring, "sheet": lambda: sheet(50)}
 
 
 @cache
-def built_of(name: str) -> tuple[Mesh, lod.Hierarchy]:
-    """Return a mesh and its hierarchy."""
+def build_cached(name: str) -> tuple[Mesh, lod.Hierarchy]:
+    """Build a mesh and its hierarchy."""
     mesh = MESHES[name]()
     return mesh, lod.build(mesh, cell_triangles=600, root_triangles=100)
 
 
 @pytest.fixture(params=list(MESHES))
 def built(request: pytest.FixtureRequest) -> tuple[Mesh, lod.Hierarchy]:
-    """Return a mesh, closed or open, and its hierarchy of several cells and levels."""
-    return built_of(request.param)
+    """Build a closed or open mesh, and its hierarchy of several cells and levels."""
+    return build_cached(request.param)
 
 
 @pytest.fixture
 def hierarchy() -> lod.Hierarchy:
-    """Return the hierarchy of a coloured ring."""
-    return built_of("ring")[1]
+    """Build the hierarchy of a coloured ring."""
+    return build_cached("ring")[1]

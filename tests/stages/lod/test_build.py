@@ -1,4 +1,4 @@
-"""Levels of detail: exact leaves, cracks nowhere, and bounds that no attack passes."""
+"""Levels of detail: exact leaves, no cracks, and bounds that no sampled point exceeds."""
 
 from __future__ import annotations
 
@@ -17,19 +17,19 @@ from tests.made.coloured_meshes import assert_same_topology, ball, sheet
 Built = tuple[Mesh, Hierarchy]
 
 
-def leaves_of(hierarchy: Hierarchy, node: int) -> list[int]:
+def list_leaves(hierarchy: Hierarchy, node: int) -> list[int]:
     below = [int(child) for child in hierarchy.children[node]]
-    return [leaf for child in below for leaf in leaves_of(hierarchy, child)] if below else [node]
+    return [leaf for child in below for leaf in list_leaves(hierarchy, child)] if below else [node]
 
 
-def base_of(hierarchy: Hierarchy, node: int) -> Mesh:
-    """Return the part of the input that is of a node."""
-    leaves = leaves_of(hierarchy, node)
+def get_base_mesh(hierarchy: Hierarchy, node: int) -> Mesh:
+    """Get the part of the input mesh that a node covers."""
+    leaves = list_leaves(hierarchy, node)
     return hierarchy.mesh(leaves, hierarchy.splits[leaves])
 
 
-def triangles_in_space(mesh: Mesh) -> NDArray[np.float64]:
-    """Return the corners (m, 9) of a mesh, turned so that the lowest comes first, in order."""
+def sort_triangle_corners(mesh: Mesh) -> NDArray[np.float64]:
+    """Get the sorted corners (m, 9) of a mesh; each triangle starts with its lowest corner."""
     corners = mesh.vertices[mesh.triangles]
     rows = []
     for triangle in corners:
@@ -38,8 +38,8 @@ def triangles_in_space(mesh: Mesh) -> NDArray[np.float64]:
     return np.array(sorted(map(tuple, rows)))
 
 
-def sampled(mesh: Mesh, count: int, seed: int) -> NDArray[np.float64]:
-    """Return points all over a surface, its vertices and the middles of its triangles."""
+def sample_surface(mesh: Mesh, count: int, seed: int) -> NDArray[np.float64]:
+    """Sample points on a surface, plus its vertices and triangle centres."""
     random = np.random.default_rng(seed)
     corners = mesh.vertices[mesh.triangles]
     areas = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
@@ -49,16 +49,16 @@ def sampled(mesh: Mesh, count: int, seed: int) -> NDArray[np.float64]:
     return np.concatenate([mesh.vertices, corners.mean(axis=1), inside])
 
 
-def distance(points: NDArray[np.float64], mesh: Mesh) -> float:
-    """Return how far points are from a surface at most, by another implementation, less its rounding."""
+def measure_max_distance(points: NDArray[np.float64], mesh: Mesh) -> float:
+    """Measure the maximum distance of points to a surface with Open3D, minus its rounding error."""
     scene = import_open3d().t.geometry.RaycastingScene()
     scene.add_triangles(mesh.vertices.astype(np.float32), mesh.triangles.astype(np.uint32))
     found = scene.compute_distance(points.astype(np.float32)).numpy()
     return max(float(found.max()) - 1e-6 * float(np.abs(mesh.vertices).max()), 0.0)
 
 
-def painted(mesh: Mesh, count: int, seed: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return points all over a surface, and its colours there."""
+def sample_colors(mesh: Mesh, count: int, seed: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Sample points on a surface, and its colours there."""
     assert mesh.colors is not None
     random = np.random.default_rng(seed)
     chosen, weights = random.integers(len(mesh.triangles), size=count), random.dirichlet(np.ones(3), count)
@@ -70,8 +70,10 @@ def painted(mesh: Mesh, count: int, seed: int) -> tuple[NDArray[np.float64], NDA
     return np.concatenate([mesh.vertices, inside]), np.concatenate([mesh.colors, shown])
 
 
-def difference(points: NDArray[np.float64], colors: NDArray[np.float64], mesh: Mesh) -> float:
-    """Return how far colours are at most from those of the nearest points of a surface, in levels."""
+def measure_max_color_difference(
+    points: NDArray[np.float64], colors: NDArray[np.float64], mesh: Mesh
+) -> float:
+    """Measure the maximum difference of colours to the nearest points of a surface, levels."""
     assert mesh.colors is not None
     scene = import_open3d().t.geometry.RaycastingScene()
     scene.add_triangles(mesh.vertices.astype(np.float32), mesh.triangles.astype(np.uint32))
@@ -82,7 +84,7 @@ def difference(points: NDArray[np.float64], colors: NDArray[np.float64], mesh: M
     return float(np.linalg.norm(colors - there, axis=1).max())
 
 
-def random_front(hierarchy: Hierarchy, random: np.random.Generator) -> tuple[list[int], list[int]]:
+def choose_random_front(hierarchy: Hierarchy, random: np.random.Generator) -> tuple[list[int], list[int]]:
     nodes, open_nodes, depth = [], [0], random.random()
     while open_nodes:
         node = open_nodes.pop()
@@ -96,12 +98,12 @@ def random_front(hierarchy: Hierarchy, random: np.random.Generator) -> tuple[lis
 # -- the tree --------------------------------------------------------------------------------------------
 
 
-def test_the_leaves_are_the_input_to_the_bit(built: Built) -> None:
+def test_the_leaves_equal_the_input_exactly(built: Built) -> None:
     mesh, hierarchy = built
-    leaves = leaves_of(hierarchy, 0)
+    leaves = list_leaves(hierarchy, 0)
     assert len(leaves) > 4
     whole = hierarchy.mesh(leaves, hierarchy.splits[leaves])
-    np.testing.assert_array_equal(triangles_in_space(whole), triangles_in_space(mesh))
+    np.testing.assert_array_equal(sort_triangle_corners(whole), sort_triangle_corners(mesh))
     assert len(whole.vertices) == len(mesh.vertices)
     assert whole.colors is not None
     assert mesh.colors is not None
@@ -109,22 +111,22 @@ def test_the_leaves_are_the_input_to_the_bit(built: Built) -> None:
     assert all(by_place[tuple(v)] == tuple(c) for v, c in zip(whole.vertices, whole.colors, strict=True))
 
 
-def test_a_node_with_all_splits_done_is_its_children(built: Built) -> None:
+def test_a_fully_split_node_equals_its_children(built: Built) -> None:
     _, hierarchy = built
     for node in range(hierarchy.nodes):
         children = hierarchy.children[node]
         if len(children):
             full = hierarchy.mesh([node], [hierarchy.splits[node]])
             parts = hierarchy.mesh(children, np.zeros(len(children), int))
-            np.testing.assert_array_equal(triangles_in_space(full), triangles_in_space(parts))
+            np.testing.assert_array_equal(sort_triangle_corners(full), sort_triangle_corners(parts))
 
 
-def test_cells_are_of_the_size_asked_for_and_every_level_is_lighter(built: Built) -> None:
+def test_cells_have_the_requested_size_and_coarser_levels_fewer_triangles(built: Built) -> None:
     mesh, hierarchy = built
     assert (hierarchy.full <= 600).all()
     assert (hierarchy.coarse < hierarchy.full).all()
-    # Half-full on average at least: clusters grow evenly.
-    leaves = leaves_of(hierarchy, 0)
+    # Leaves are at least about half full on average, because clusters grow evenly.
+    leaves = list_leaves(hierarchy, 0)
     assert hierarchy.full[leaves].sum() == len(mesh.triangles)
     assert hierarchy.full[leaves].mean() > 200
 
@@ -140,54 +142,58 @@ def test_bounds_grow_towards_the_root(built: Built) -> None:
 # -- no cracks -------------------------------------------------------------------------------------------
 
 
-def test_random_fronts_have_no_new_border_and_no_edge_of_three_triangles(built: Built) -> None:
+def test_random_fronts_have_no_new_boundary_and_no_edge_with_three_triangles(built: Built) -> None:
     mesh, hierarchy = built
     random = np.random.default_rng(7)
     for _ in range(150):
-        assert_same_topology(hierarchy.mesh(*random_front(hierarchy, random)), mesh)
+        assert_same_topology(hierarchy.mesh(*choose_random_front(hierarchy, random)), mesh)
 
 
 # -- bounds ----------------------------------------------------------------------------------------------
 
 
-def test_no_attack_passes_a_bound_and_bounds_are_close(built: Built) -> None:
+def test_no_sampled_point_exceeds_a_shape_bound_and_bounds_are_tight(built: Built) -> None:
     _, hierarchy = built
     shares = []
     for node in range(hierarchy.nodes):
-        coarse, base = hierarchy.mesh([node], [0]), base_of(hierarchy, node)
-        there = distance(sampled(coarse, 2000, node), base)
-        back = distance(sampled(base, 2000, node), coarse)
+        coarse, base = hierarchy.mesh([node], [0]), get_base_mesh(hierarchy, node)
+        there = measure_max_distance(sample_surface(coarse, 2000, node), base)
+        back = measure_max_distance(sample_surface(base, 2000, node), coarse)
         attack = max(there, back)
         assert attack <= hierarchy.shape_bound[node] * (1 + 1e-9)
         shares.append(attack / hierarchy.shape_bound[node])
     assert np.quantile(shares, 0.1) >= 0.8, shares
 
 
-def test_no_attack_passes_a_bound_on_colour(built: Built) -> None:
+def test_no_sampled_point_exceeds_a_colour_bound(built: Built) -> None:
     _, hierarchy = built
     shares = []
     for node in range(hierarchy.nodes):
-        coarse, base = hierarchy.mesh([node], [0]), base_of(hierarchy, node)
+        coarse, base = hierarchy.mesh([node], [0]), get_base_mesh(hierarchy, node)
         attack = max(
-            difference(*painted(coarse, 2000, node), base), difference(*painted(base, 2000, node), coarse)
+            measure_max_color_difference(*sample_colors(coarse, 2000, node), base),
+            measure_max_color_difference(*sample_colors(base, 2000, node), coarse),
         )
         assert attack <= hierarchy.color_bound[node]
         shares.append(attack / hierarchy.color_bound[node])
     assert np.quantile(shares, 0.1) >= 0.6, shares
 
 
-def test_between_two_levels_the_coarser_bound_holds(built: Built) -> None:
+def test_the_coarser_bound_holds_between_two_levels(built: Built) -> None:
     _, hierarchy = built
     random = np.random.default_rng(3)
     for _ in range(12):
         node = int(random.integers(hierarchy.nodes))
         splits = int(random.integers(hierarchy.splits[node] + 1))
-        mesh, base = hierarchy.mesh([node], [splits]), base_of(hierarchy, node)
-        attack = max(distance(sampled(mesh, 1000, node), base), distance(sampled(base, 1000, node), mesh))
+        mesh, base = hierarchy.mesh([node], [splits]), get_base_mesh(hierarchy, node)
+        attack = max(
+            measure_max_distance(sample_surface(mesh, 1000, node), base),
+            measure_max_distance(sample_surface(base, 1000, node), mesh),
+        )
         assert attack <= hierarchy.shape_bound[node]
 
 
-def test_with_a_base_error_bounds_count_from_the_input() -> None:
+def test_with_a_base_error_bounds_are_relative_to_the_input() -> None:
     mesh = sheet(40)
     hierarchy = lod.build(mesh, base_error=0.002, cell_triangles=400, root_triangles=100)
     base = hierarchy.cut(max_shape=0.0)
@@ -196,15 +202,15 @@ def test_with_a_base_error_bounds_count_from_the_input() -> None:
     assert hierarchy.to_dict()["stored_per_input"] < 0.9
     for node in range(hierarchy.nodes):
         coarse = hierarchy.mesh([node], [0])
-        assert distance(sampled(coarse, 500, node), mesh) <= hierarchy.shape_bound[node]
+        assert measure_max_distance(sample_surface(coarse, 500, node), mesh) <= hierarchy.shape_bound[node]
     root = hierarchy.mesh([0], [0])
-    assert distance(sampled(mesh, 3000, 0), root) <= hierarchy.shape_bound[0]
+    assert measure_max_distance(sample_surface(mesh, 3000, 0), root) <= hierarchy.shape_bound[0]
 
 
 # -- any number of threads, any mesh ---------------------------------------------------------------------
 
 
-def test_the_file_is_the_same_for_any_number_of_threads(tmp_path: Path) -> None:
+def test_the_file_does_not_depend_on_the_thread_count(tmp_path: Path) -> None:
     files = []
     for threads in (1, 2, 3):
         files.append(tmp_path / f"{threads}.slod")
@@ -214,7 +220,7 @@ def test_the_file_is_the_same_for_any_number_of_threads(tmp_path: Path) -> None:
     assert files[0].read_bytes() == files[1].read_bytes() == files[2].read_bytes()
 
 
-def test_islands_stay_and_share_cells() -> None:
+def test_small_components_are_kept_and_share_cells() -> None:
     part = trimesh.creation.icosphere(subdivisions=2)
     random = np.random.default_rng(0)
     parts = [(part.vertices * 0.05 + random.uniform(size=3), np.asarray(part.faces)) for _ in range(30)]
@@ -224,13 +230,13 @@ def test_islands_stay_and_share_cells() -> None:
         np.concatenate([f + o for (_, f), o in zip(parts, offsets, strict=True)]).astype(np.int32),
     )
     hierarchy = lod.build(mesh, cell_triangles=1500, root_triangles=50)
-    assert len(leaves_of(hierarchy, 0)) < 15
+    assert len(list_leaves(hierarchy, 0)) < 15
     assert topology(hierarchy.cut(triangles=1).mesh).components == 30
 
 
-def test_pinched_surfaces_are_taken_and_told() -> None:
+def test_pinched_surfaces_are_accepted_with_a_diagnostic() -> None:
     mesh = ball()
-    # A second ball on the first one's highest vertex.
+    # A second ball on the highest vertex of the first.
     top = int(np.argmax(mesh.vertices[:, 2]))
     other = mesh.vertices + np.array([0, 0, 2 * mesh.vertices[top, 2]])
     bottom = int(np.argmin(other[:, 2]))
@@ -243,11 +249,11 @@ def test_pinched_surfaces_are_taken_and_told() -> None:
     hierarchy = lod.build(pinched, cell_triangles=2000, root_triangles=200)
     assert any("not a manifold" in str(one) for one in hierarchy.diagnostics)
     whole = hierarchy.cut(max_shape=0.0).mesh
-    np.testing.assert_array_equal(triangles_in_space(whole), triangles_in_space(pinched))
+    np.testing.assert_array_equal(sort_triangle_corners(whole), sort_triangle_corners(pinched))
 
 
-def textured_sheet() -> Mesh:
-    """A sheet with an image of two columns, dark and light."""
+def make_textured_sheet() -> Mesh:
+    """Make a sheet with an image of two columns, dark and light."""
     mesh = sheet(10).with_(colors=None)
     image = np.zeros((2, 2, 3), np.uint8)
     image[:, 1] = 200
@@ -256,8 +262,8 @@ def textured_sheet() -> Mesh:
     return mesh.with_(texture=Texture(uvs, material, (Material(image=Image(given=image)),)))
 
 
-def test_a_texture_becomes_colours_and_the_mesh_with_its_image_is_kept(tmp_path: Path) -> None:
-    mesh = textured_sheet()
+def test_a_texture_becomes_colours_and_the_textured_mesh_is_stored(tmp_path: Path) -> None:
+    mesh = make_textured_sheet()
     hierarchy = lod.build(mesh, cell_triangles=64, root_triangles=10)
     assert hierarchy.colors is not None
     assert hierarchy.colors.max() > 150
@@ -267,15 +273,17 @@ def test_a_texture_becomes_colours_and_the_mesh_with_its_image_is_kept(tmp_path:
     assert model is not None
     assert model.texture is not None
     assert mesh.texture is not None
-    # Corners in single precision.
-    np.testing.assert_allclose(triangles_in_space(model), triangles_in_space(mesh), rtol=1e-6, atol=1e-7)
+    # Corners are stored in single precision.
+    np.testing.assert_allclose(
+        sort_triangle_corners(model), sort_triangle_corners(mesh), rtol=1e-6, atol=1e-7
+    )
     np.testing.assert_array_equal(model.texture.images[0].pixels, mesh.texture.images[0].pixels)
     assert lod.build(sheet(10), cell_triangles=64).model is None
 
 
-def test_without_the_end_of_its_file_a_model_is_left_out_and_that_is_told(tmp_path: Path) -> None:
+def test_a_model_at_a_damaged_file_end_is_dropped_with_a_diagnostic(tmp_path: Path) -> None:
     path = tmp_path / "m.slod"
-    lod.write_slod(path, lod.build(textured_sheet(), cell_triangles=64, root_triangles=10))
+    lod.write_slod(path, lod.build(make_textured_sheet(), cell_triangles=64, root_triangles=10))
     whole = path.read_bytes()
     for damaged in (whole[:-5], whole[:-50] + b"x" + whole[-49:]):
         path.write_bytes(damaged)
@@ -289,8 +297,8 @@ def test_without_the_end_of_its_file_a_model_is_left_out_and_that_is_told(tmp_pa
         assert len(hierarchy.cut(max_shape=0.0).mesh.triangles) == hierarchy.input_triangles
 
 
-def test_islands_that_are_dropped_are_not_in_the_model() -> None:
-    mesh = textured_sheet()
+def test_dropped_islands_are_not_in_the_stored_model() -> None:
+    mesh = make_textured_sheet()
     assert mesh.texture is not None
     speck = np.array([(0, 0, 1), (0.001, 0, 1), (0, 0.001, 1)])
     triangles = np.concatenate([mesh.triangles, np.arange(3)[None] + len(mesh.vertices)]).astype(np.int32)
@@ -301,7 +309,7 @@ def test_islands_that_are_dropped_are_not_in_the_model() -> None:
     assert len(model.triangles) == len(mesh.triangles)
 
 
-def test_what_cannot_be_built_is_one_sentence() -> None:
+def test_invalid_meshes_and_parameters_are_one_error() -> None:
     with pytest.raises(InputError, match="no triangles"):
         lod.build(Mesh(np.zeros((0, 3)), np.zeros((0, 3), np.int32)))
     with pytest.raises(UsageError, match="ratio"):
@@ -317,14 +325,19 @@ def test_a_single_triangle_is_a_hierarchy() -> None:
     assert hierarchy.shape_bound[0] >= 0
 
 
-def test_a_real_scan_keeps_its_word(shared_data: Path) -> None:
+def test_bounds_and_topology_hold_for_a_real_scan(shared_data: Path) -> None:
     mesh = read_mesh(shared_data / "meshes" / "stanford-bunny.obj")
     hierarchy = lod.build(mesh)
     random = np.random.default_rng(1)
     given = topology(mesh)
     for _ in range(20):
-        assert topology(hierarchy.mesh(*random_front(hierarchy, random))).components == given.components
+        assert (
+            topology(hierarchy.mesh(*choose_random_front(hierarchy, random))).components == given.components
+        )
     for node in random.choice(hierarchy.nodes, 5, replace=False):
-        coarse, base = hierarchy.mesh([node], [0]), base_of(hierarchy, int(node))
-        attack = max(distance(sampled(coarse, 1000, 0), base), distance(sampled(base, 1000, 0), coarse))
+        coarse, base = hierarchy.mesh([node], [0]), get_base_mesh(hierarchy, int(node))
+        attack = max(
+            measure_max_distance(sample_surface(coarse, 1000, 0), base),
+            measure_max_distance(sample_surface(base, 1000, 0), coarse),
+        )
         assert attack <= hierarchy.shape_bound[node] * (1 + 1e-9)

@@ -1,4 +1,4 @@
-"""Marked regions are refined to the input; the paper's rule, compared with a direct calculation."""
+"""Marked regions are refined to the input; weights of the paper's rule match a direct calculation."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Points:
-    """Region of some points, wherever they are."""
+    """Region that consists of given points."""
 
     points: frozenset[tuple[float, ...]]
 
@@ -26,15 +26,15 @@ class Points:
         return np.array([tuple(point) in self.points for point in points.tolist()], bool)
 
 
-def view_of(hierarchy: Hierarchy, *, away: bool, distance: float = 3.0) -> View:
-    """Return a view of the model from its front, or from there into the other direction."""
+def make_view(hierarchy: Hierarchy, *, away: bool, distance: float = 3.0) -> View:
+    """Make a view of the model from its front, or from the same position in the opposite direction."""
     middle, radius = hierarchy.spheres[0][0], hierarchy.spheres[1][0]
     eye = middle - np.array((0.0, distance * radius, 0.0))
     return View(tuple(eye), tuple(2 * eye - middle if away else middle), (0.0, 0.0, 1.0), 200, 200)
 
 
-def triangles_at(mesh: Mesh, inside: NDArray[np.bool_]) -> set[tuple[tuple[float, ...], ...]]:
-    """Return the triangles at marked vertices, as their corner positions."""
+def list_marked_triangles(mesh: Mesh, inside: NDArray[np.bool_]) -> set[tuple[tuple[float, ...], ...]]:
+    """List the triangles at marked vertices by their corner positions."""
     rows = mesh.triangles[inside[mesh.triangles].any(axis=1)]
     return {tuple(sorted(map(tuple, corners))) for corners in mesh.vertices[rows].tolist()}
 
@@ -50,28 +50,30 @@ def test_a_marked_region_of_any_size_is_refined_to_the_input(built: Built, size:
         radius = float(np.sort(distances)[size - 1]) * (1 + 1e-12) + 1e-12
         scattered = random.choice(exact.vertices, size, replace=False)
         for region in (Sphere(tuple(center), radius, lock=True), Points(frozenset(map(tuple, scattered)))):
-            weights = lod.evaluate(hierarchy, view_of(hierarchy, away=away), region)
+            weights = lod.evaluate(hierarchy, make_view(hierarchy, away=away), region)
             cut = lod.adjust(hierarchy.front(), weights, math.inf).cut().mesh
             marked = region.contains(exact.vertices)
             assert marked.sum() >= size
-            assert triangles_at(cut, region.contains(cut.vertices)) == triangles_at(exact, marked)
+            assert list_marked_triangles(cut, region.contains(cut.vertices)) == list_marked_triangles(
+                exact, marked
+            )
 
 
-def test_marked_nodes_come_first_within_a_limit(hierarchy: Hierarchy) -> None:
+def test_marked_nodes_have_priority_within_a_limit(hierarchy: Hierarchy) -> None:
     exact = hierarchy.cut(max_shape=0.0).mesh
     region = Sphere(tuple(exact.vertices[0]), 1e-6, lock=True)
-    away, near = view_of(hierarchy, away=True), view_of(hierarchy, away=False, distance=1.1)
+    away, near = make_view(hierarchy, away=True), make_view(hierarchy, away=False, distance=1.1)
     needed = lod.adjust(hierarchy.front(), lod.evaluate(hierarchy, away, region), math.inf).triangles
     cut = lod.adjust(hierarchy.front(), lod.evaluate(hierarchy, near, region), needed).cut().mesh
     assert len(cut.triangles) <= needed
     assert tuple(exact.vertices[0]) in set(map(tuple, cut.vertices.tolist()))
-    assert triangles_at(cut, region.contains(cut.vertices)) == triangles_at(
+    assert list_marked_triangles(cut, region.contains(cut.vertices)) == list_marked_triangles(
         exact, region.contains(exact.vertices)
     )
 
 
 def test_constraints_refine_nodes_that_are_mostly_inside(hierarchy: Hierarchy) -> None:
-    view = view_of(hierarchy, away=True)
+    view = make_view(hierarchy, away=True)
     middle = hierarchy.spheres[0][0]
     half = Box(tuple(middle - 9.0), (float(middle[0]), 9.0, 9.0), lock=True)
     weights = lod.evaluate(hierarchy, view, constraints=half)
@@ -86,13 +88,13 @@ def test_constraints_refine_nodes_that_are_mostly_inside(hierarchy: Hierarchy) -
 
 
 def test_without_the_silhouette_only_errors_and_marks_count(hierarchy: Hierarchy) -> None:
-    view = view_of(hierarchy, away=False, distance=400.0)
+    view = make_view(hierarchy, away=False, distance=400.0)
     assert lod.evaluate(hierarchy, view).local.max() > 0
     assert lod.evaluate(hierarchy, view, silhouette=False).local.max() == 0
 
 
 def list_finest_vertices(hierarchy: Hierarchy, node: int) -> NDArray[np.uint32]:
-    """Return the distinct vertices of the finest level below a node."""
+    """List the distinct vertices of the finest level below a node."""
     found, todo = [], [node]
     while todo:
         one = todo.pop()
@@ -103,7 +105,7 @@ def list_finest_vertices(hierarchy: Hierarchy, node: int) -> NDArray[np.uint32]:
     return np.unique(np.concatenate(found))
 
 
-def test_the_papers_rule_follows_its_formulas(built: Built) -> None:
+def test_weights_of_the_papers_rule_follow_its_formulas(built: Built) -> None:
     _, hierarchy = built
     middle, radius = hierarchy.spheres
     # A narrow view of a part of the model, from the side.

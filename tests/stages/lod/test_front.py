@@ -1,4 +1,4 @@
-"""Fronts: split, merge, rebuild and go back in any order; and what views ask for."""
+"""Fronts: split, merge, rebuild and restore in any order, and refinement for views."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from hypothesis import strategies as st
 from scanloom.stages import Mesh, Sphere, UsageError, lod
 from scanloom.stages.lod import Front, Hierarchy, View, refinement_measures
 from tests.made.coloured_meshes import assert_same_topology
-from tests.stages.lod.conftest import built_of
+from tests.stages.lod.conftest import build_cached
 
 Built = tuple[Mesh, Hierarchy]
 
 
-def is_whole(front: Front) -> bool:
-    """Return whether every leaf has exactly one node of the front above it, or is one."""
+def covers_all_leaves(front: Front) -> bool:
+    """Check that each leaf has exactly one front node among itself and its ancestors."""
     hierarchy, nodes = front.hierarchy, set(front.nodes)
     for leaf in range(hierarchy.nodes):
         if len(hierarchy.children[leaf]):
@@ -36,8 +36,8 @@ def is_whole(front: Front) -> bool:
 @settings(max_examples=200, deadline=None)
 @given(st.sampled_from(["ring", "sheet"]), st.randoms(use_true_random=False))
 def test_operations_in_any_order_give_a_valid_mesh(name: str, random: st.randoms) -> None:  # type: ignore[valid-type]
-    """50 operations in each of 200 sequences."""
-    mesh, hierarchy = built_of(name)
+    """Run 50 operations in each of 200 sequences."""
+    mesh, hierarchy = build_cached(name)
     front = hierarchy.front()
     kept = [front.state]
     for step in range(50):
@@ -57,14 +57,14 @@ def test_operations_in_any_order_give_a_valid_mesh(name: str, random: st.randoms
         else:
             state = random.choice(kept)  # type: ignore[attr-defined]
             assert front.restore(state).state == state
-        assert is_whole(front)
+        assert covers_all_leaves(front)
         if step % 25 == 24:
             found = front.cut()
             assert len(found.mesh.triangles) == front.triangles
             assert_same_topology(found.mesh, mesh)
 
 
-def test_split_and_merge_are_each_others_inverse(hierarchy: Hierarchy) -> None:
+def test_merge_inverts_split(hierarchy: Hierarchy) -> None:
     front = hierarchy.front().rebuild(1500)
     before = front.cut()
     node = front.nodes[-1]
@@ -74,21 +74,21 @@ def test_split_and_merge_are_each_others_inverse(hierarchy: Hierarchy) -> None:
     np.testing.assert_array_equal(before.mesh.vertices, after.mesh.vertices)
 
 
-def test_one_split_brings_one_or_two_triangles(hierarchy: Hierarchy) -> None:
+def test_a_split_adds_one_or_two_triangles(hierarchy: Hierarchy) -> None:
     front = hierarchy.front()
     for _ in range(20):
         before = front.triangles
         assert 1 <= front.split(0).triangles - before <= 2
 
 
-def test_more_triangles_never_mean_a_larger_error(built: Built) -> None:
+def test_more_triangles_never_increase_the_error(built: Built) -> None:
     _, hierarchy = built
     errors = [hierarchy.cut(triangles=count).shape_bound_m for count in range(100, 6000, 250)]
     assert errors == sorted(errors, reverse=True)
     assert hierarchy.cut(triangles=10**9).shape_bound_m == 0
 
 
-def test_a_number_of_triangles_is_met_to_one(built: Built) -> None:
+def test_a_triangle_count_is_reached_within_one(built: Built) -> None:
     _, hierarchy = built
     for count in (300, 777, 2000):
         if count >= hierarchy.coarse[0]:
@@ -103,19 +103,19 @@ def test_an_error_in_metres_is_kept_and_proven(built: Built) -> None:
         assert found.is_proven.all()
 
 
-def view_of(distance: float, look: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> View:
+def make_view(distance: float, look: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> View:
     return View((0.0, -distance, 0.3), look, (0.0, 0.0, 1.0), 800, 600)
 
 
-def test_the_farther_the_eye_the_fewer_triangles(hierarchy: Hierarchy) -> None:
-    counts = [len(hierarchy.cut(view_of(d), error_px=1.0).mesh.triangles) for d in (3, 10, 30, 100, 1000)]
+def test_distant_views_have_fewer_triangles(hierarchy: Hierarchy) -> None:
+    counts = [len(hierarchy.cut(make_view(d), error_px=1.0).mesh.triangles) for d in (3, 10, 30, 100, 1000)]
     assert counts == sorted(counts, reverse=True)
     assert counts[0] > 2 * counts[-1]
     assert counts[-1] == hierarchy.coarse[0]
 
 
-def test_errors_in_pixels_hold_where_something_is_seen(hierarchy: Hierarchy) -> None:
-    view = view_of(4.0)
+def test_errors_in_pixels_hold_for_visible_nodes(hierarchy: Hierarchy) -> None:
+    view = make_view(4.0)
     found = hierarchy.cut(view, error_px=0.5)
     middle, radius = hierarchy.spheres
     for node, bound in zip(found.nodes, found.shape_bound, strict=True):
@@ -124,12 +124,12 @@ def test_errors_in_pixels_hold_where_something_is_seen(hierarchy: Hierarchy) -> 
             assert bound * view.focal_px / nearest <= 0.5
 
 
-def test_what_is_not_seen_stays_coarse(hierarchy: Hierarchy) -> None:
+def test_nodes_outside_the_view_stay_coarse(hierarchy: Hierarchy) -> None:
     away = View((0.0, -4.0, 0.0), (0.0, -8.0, 0.0), (0.0, 0.0, 1.0))
     assert len(hierarchy.cut(away, error_px=0.01).mesh.triangles) == hierarchy.coarse[0]
 
 
-def test_a_region_is_refined_alone(hierarchy: Hierarchy) -> None:
+def test_only_a_given_region_is_refined(hierarchy: Hierarchy) -> None:
     place = Sphere((1.4, 0.0, 0.0), 0.2, lock=True)
     found = hierarchy.cut(region=place)
     exact = {tuple(v) for v in hierarchy.cut(max_shape=0.0).mesh.vertices}
@@ -140,18 +140,18 @@ def test_a_region_is_refined_alone(hierarchy: Hierarchy) -> None:
 
 
 def test_with_hysteresis_a_small_step_back_changes_nothing(hierarchy: Hierarchy) -> None:
-    front = hierarchy.front().refine(view_of(5.0), error_px=1.0)
+    front = hierarchy.front().refine(make_view(5.0), error_px=1.0)
     near = front.state
-    assert front.refine(view_of(5.5), error_px=1.0, keep=2.0).state == near
-    assert len(front.refine(view_of(50.0), error_px=1.0, keep=2.0).nodes) < len(near)
+    assert front.refine(make_view(5.5), error_px=1.0, keep=2.0).state == near
+    assert len(front.refine(make_view(50.0), error_px=1.0, keep=2.0).nodes) < len(near)
 
 
-def test_what_makes_no_sense_is_refused(hierarchy: Hierarchy) -> None:
+def test_invalid_targets_and_views_are_refused(hierarchy: Hierarchy) -> None:
     front = hierarchy.front()
     with pytest.raises(UsageError, match="pixels of a view"):
         front.refine(error_px=1.0)
     with pytest.raises(UsageError, match="no target"):
-        front.refine(view_of(3.0))
+        front.refine(make_view(3.0))
     with pytest.raises(UsageError, match="triangles must be 1"):
         front.refine(triangles=0)
     with pytest.raises(UsageError, match="not in the front"):
@@ -164,7 +164,7 @@ def test_what_makes_no_sense_is_refused(hierarchy: Hierarchy) -> None:
         View((0, 0, math.nan), (0, 0, 1))
 
 
-def test_a_view_straight_down_is_one() -> None:
+def test_a_view_straight_down_is_valid() -> None:
     view = View((0, 0, 5), (0, 0, 0), (0, 0, 1))
     normals, _ = view.compute_planes()
     np.testing.assert_allclose(np.linalg.norm(normals, axis=1), 1)
@@ -175,14 +175,14 @@ def test_a_view_straight_down_is_one() -> None:
 # -- the paper's rule ------------------------------------------------------------------------------------
 
 
-def test_the_nearer_the_eye_the_more_triangles_up_to_the_global_limit(hierarchy: Hierarchy) -> None:
+def test_closer_views_have_more_triangles_up_to_the_global_limit(hierarchy: Hierarchy) -> None:
     mesh = hierarchy.cut(max_shape=0.0).mesh
     counts = []
     for distance in (2.0, 5.0, 8.0, 11.0):
         limit = refinement_measures.compute_global_limit(
             len(mesh.triangles), 200, distance, near=2.0, far=11.0
         )
-        front = lod.adjust(hierarchy.front(), lod.evaluate(hierarchy, view_of(distance)), limit)
+        front = lod.adjust(hierarchy.front(), lod.evaluate(hierarchy, make_view(distance)), limit)
         assert front.triangles <= limit
         assert_same_topology(front.cut().mesh, mesh)
         counts.append(front.triangles)
@@ -190,15 +190,15 @@ def test_the_nearer_the_eye_the_more_triangles_up_to_the_global_limit(hierarchy:
     assert counts[0] > 2 * counts[-1]
 
 
-def test_what_looks_away_is_not_refined() -> None:
-    _, hierarchy = built_of("ball")
+def test_the_back_of_the_model_is_not_refined() -> None:
+    _, hierarchy = build_cached("ball")
     above = View((0.0, 0.0, 50.0), (0.0, 0.0, 0.0), (0.0, 1.0, 0.0), 800, 600, 5.0)
     front = lod.adjust(hierarchy.front(), lod.evaluate(hierarchy, above), math.inf)
     height = front.cut().mesh.vertices[:, 2]
     assert (height > 0.3).sum() > 1.2 * (height < -0.3).sum()
 
 
-def test_a_marked_region_is_refined_wherever_the_eye_is(hierarchy: Hierarchy) -> None:
+def test_a_marked_region_is_refined_for_any_view(hierarchy: Hierarchy) -> None:
     place = Sphere((1.0, 0.0, 0.0), 1.0, lock=True)
     away = View((0.0, -400.0, 0.0), (0.0, -800.0, 0.0), (0.0, 0.0, 1.0))
     front = lod.adjust(hierarchy.front(), lod.evaluate(hierarchy, away, place), math.inf)

@@ -1,4 +1,4 @@
-"""Islands that are dropped: what stays keeps its bounds, and everything says that they are one-sided."""
+"""Dropped islands: bounds hold for the kept mesh, and results are marked as one-sided."""
 
 from __future__ import annotations
 
@@ -14,14 +14,20 @@ from scanloom.stages import InputError, Mesh, UsageError, lod, topology
 from scanloom.stages.lod import Hierarchy
 from scanloom.stages.surface.small_components import find_small_components
 from tests.made.coloured_meshes import ball
-from tests.stages.lod.test_build import base_of, distance, leaves_of, sampled, triangles_in_space
+from tests.stages.lod.test_build import (
+    get_base_mesh,
+    list_leaves,
+    measure_max_distance,
+    sample_surface,
+    sort_triangle_corners,
+)
 
 SIZES = (0.02, 0.05, 0.08, 0.3)
 ASKED = {"cell_triangles": 500, "root_triangles": 50}
 
 
-def scattered() -> tuple[Mesh, list[int]]:
-    """Return a ball with ten small ones of each size around it, of diameters SIZES, and triangles of each."""
+def make_scattered_balls() -> tuple[Mesh, list[int]]:
+    """Make a ball with ten small balls of each diameter in SIZES around it, and their triangle counts."""
     main = ball()
     random = np.random.default_rng(3)
     part = trimesh.creation.icosphere(subdivisions=1)
@@ -43,57 +49,61 @@ def scattered() -> tuple[Mesh, list[int]]:
 
 @pytest.fixture(scope="module")
 def mesh() -> Mesh:
-    return scattered()[0]
+    return make_scattered_balls()[0]
 
 
 @pytest.fixture(scope="module")
 def dropped(mesh: Mesh) -> Hierarchy:
-    """Return levels without the two smallest sizes, whose boxes have diagonals of 0.035 and 0.087."""
+    """Build levels without the two smallest sizes, whose boxes have diagonals of 0.035 and 0.087."""
     return lod.build(mesh, drop_islands=0.1, **ASKED)
 
 
-def test_small_pieces_go_and_are_counted(mesh: Mesh, dropped: Hierarchy) -> None:
+def test_small_components_are_dropped_and_counted(mesh: Mesh, dropped: Hierarchy) -> None:
     assert (dropped.dropped_islands, dropped.dropped_triangles) == (20, 20 * 80)
     assert dropped.input_triangles == len(mesh.triangles)
     kept = mesh.triangles[np.r_[: len(ball().triangles), len(mesh.triangles) - 20 * 80 : len(mesh.triangles)]]
-    leaves = leaves_of(dropped, 0)
+    leaves = list_leaves(dropped, 0)
     np.testing.assert_array_equal(
-        triangles_in_space(dropped.mesh(leaves, dropped.splits[leaves])),
-        triangles_in_space(Mesh(mesh.vertices, kept)),
+        sort_triangle_corners(dropped.mesh(leaves, dropped.splits[leaves])),
+        sort_triangle_corners(Mesh(mesh.vertices, kept)),
     )
     assert topology(dropped.cut(triangles=1).mesh).components == 21
     metrics = dropped.to_dict()
-    told = [metrics[name] for name in ("one_sided", "dropped_islands", "dropped_triangles")]
-    assert told == [True, 20, 1600]
+    result = [metrics[name] for name in ("one_sided", "dropped_islands", "dropped_triangles")]
+    assert result == [True, 20, 1600]
     assert any(
         "20 connected components smaller than 0.1 m, with 1,600 triangles" in str(one)
         for one in dropped.diagnostics
     )
 
 
-def test_bounds_of_what_stays_hold_both_ways_and_those_of_all_one_way(mesh: Mesh, dropped: Hierarchy) -> None:
+def test_bounds_hold_both_ways_for_the_kept_mesh_and_one_way_for_the_input(
+    mesh: Mesh, dropped: Hierarchy
+) -> None:
     for node in range(dropped.nodes):
-        coarse, base = dropped.mesh([node], [0]), base_of(dropped, node)
+        coarse, base = dropped.mesh([node], [0]), get_base_mesh(dropped, node)
         there, back = (
-            distance(sampled(coarse, 1500, node), base),
-            distance(sampled(base, 1500, node), coarse),
+            measure_max_distance(sample_surface(coarse, 1500, node), base),
+            measure_max_distance(sample_surface(base, 1500, node), coarse),
         )
         assert max(there, back) <= dropped.shape_bound[node] * (1 + 1e-9)
-        assert distance(sampled(coarse, 1500, node), mesh) <= dropped.shape_bound[node] * (1 + 1e-9)
-    # The other side is what the mark is for: what was dropped is far from every level.
+        assert measure_max_distance(sample_surface(coarse, 1500, node), mesh) <= dropped.shape_bound[node] * (
+            1 + 1e-9
+        )
+    # The mark is required because dropped islands are far from every level.
     finest = dropped.cut(max_shape=0.0)
     assert finest.is_one_sided
-    assert distance(mesh.vertices, finest.mesh) > 100 * finest.shape_bound_m + 0.1
+    assert measure_max_distance(mesh.vertices, finest.mesh) > 100 * finest.shape_bound_m + 0.1
 
 
-def test_what_is_dropped_need_not_be_paid_for(mesh: Mesh, dropped: Hierarchy) -> None:
+def test_dropping_islands_reduces_the_coarsest_level(mesh: Mesh, dropped: Hierarchy) -> None:
     whole = lod.build(mesh, **ASKED)
     assert not whole.is_one_sided
     assert not whole.cut(triangles=1).to_dict()["one_sided"]
     assert dropped.coarse[0] < whole.coarse[0] - 20 * 4 + 1
 
 
-def test_with_nothing_to_drop_nothing_changes() -> None:
+def test_without_small_components_nothing_changes() -> None:
     plain, asked = lod.build(ball(), **ASKED), lod.build(ball(), drop_islands=0.5, **ASKED)
     assert not asked.is_one_sided
     assert asked.diagnostics == plain.diagnostics
@@ -101,9 +111,9 @@ def test_with_nothing_to_drop_nothing_changes() -> None:
     np.testing.assert_array_equal(asked.shape_bound, plain.shape_bound)
 
 
-def test_the_size_is_the_diagonal_of_the_box_and_copies_in_one_place_hang_together() -> None:
+def test_the_size_is_the_box_diagonal_and_coincident_vertices_connect_triangles() -> None:
     corners = np.array([(0, 0, 0), (3, 0, 0), (0, 4, 0), (3, 4, 0)], float)
-    # Two triangles that share an edge in space, each with vertices of its own: a square of diagonal 5.
+    # Two triangles that share an edge in space with separate vertices: a square of diagonal 5.
     mesh = Mesh(corners[[0, 1, 2, 2, 1, 3]], np.arange(6, dtype=np.int32).reshape(2, 3))
     assert [find_small_components(mesh, size)[1] for size in (5.0, 5.001)] == [0, 1]
     apart = Mesh(np.concatenate([mesh.vertices[:3], mesh.vertices[3:] + 10]), mesh.triangles)
@@ -111,14 +121,14 @@ def test_the_size_is_the_diagonal_of_the_box_and_copies_in_one_place_hang_togeth
     assert find_small_components(apart, 5.001)[1] == 2
 
 
-def test_a_mesh_of_islands_alone_and_sizes_that_are_none_are_one_sentence() -> None:
+def test_dropping_everything_and_invalid_sizes_are_one_error() -> None:
     with pytest.raises(InputError, match="all connected components of the mesh are smaller than 100 m"):
         lod.build(ball(), drop_islands=100.0)
     with pytest.raises(UsageError, match="drop_islands"):
         lod.build(ball(), drop_islands=-1.0)
 
 
-def test_the_file_and_the_tiles_say_it(dropped: Hierarchy, tmp_path: Path) -> None:
+def test_the_file_and_the_tiles_store_that_bounds_are_one_sided(dropped: Hierarchy, tmp_path: Path) -> None:
     lod.write_slod(tmp_path / "m.slod", dropped)
     read = lod.read_slod(tmp_path / "m.slod")
     assert (read.dropped_islands, read.dropped_triangles, read.is_one_sided) == (20, 1600, True)
@@ -135,13 +145,13 @@ def test_the_file_and_the_tiles_say_it(dropped: Hierarchy, tmp_path: Path) -> No
         todo += tile.get("children", [])
 
 
-def test_two_sided_tiles_say_nothing_of_it(tmp_path: Path) -> None:
+def test_two_sided_tiles_have_no_such_mark(tmp_path: Path) -> None:
     written = lod.write_tiles(lod.build(ball(), **ASKED), tmp_path / "tiles")
     assert not written.to_dict()["one_sided"]
     assert "one_sided" not in (tmp_path / "tiles" / "tileset.json").read_text()
 
 
-def test_files_of_another_version_are_refused(tmp_path: Path) -> None:
+def test_other_file_versions_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "m.slod"
     lod.write_slod(path, lod.build(ball(), **ASKED))
     data = bytearray(path.read_bytes())

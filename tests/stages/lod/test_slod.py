@@ -1,4 +1,4 @@
-"""The file: round trips, prefixes that are coarse models, and damage that is one sentence."""
+"""SLOD files: round trips, prefixes as coarse models, and one error for damage."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def file(built: Built, tmp_path: Path) -> Path:
     return tmp_path / "m.slod"
 
 
-def test_what_is_read_is_what_was_written(built: Built, file: Path) -> None:
+def test_a_hierarchy_is_read_as_written(built: Built, file: Path) -> None:
     read = lod.read_slod(file)
     for field in fields(Hierarchy):
         ours, theirs = getattr(built[1], field.name), getattr(read, field.name)
@@ -37,7 +37,7 @@ def test_what_is_read_is_what_was_written(built: Built, file: Path) -> None:
 
 
 @pytest.mark.parametrize("up", [(0.0, -1.0, 0.0), (0.6, 0.0, 0.8)])
-def test_what_is_up_comes_back_in_the_file_and_in_cuts(
+def test_the_up_direction_is_stored_and_passed_to_cuts(
     tmp_path: Path, up: tuple[float, float, float]
 ) -> None:
     asked = {"cell_triangles": 200, "root_triangles": 50}
@@ -55,7 +55,7 @@ def test_what_is_up_comes_back_in_the_file_and_in_cuts(
 @pytest.mark.parametrize(
     "up", ["up", [0, 1], [0.0, 0.0, 0.0], [1.0, 1.0, 0.0], [True, 0.0, 0.0], [1e400, 0.0, 0.0], None]
 )
-def test_what_is_no_direction_is_damage(file: Path, up: object) -> None:
+def test_an_invalid_up_direction_is_damage(file: Path, up: object) -> None:
     _replace_in_tree(file, up=up)
     with pytest.raises(InputError, match="is not a direction"):
         lod.read_slod(file)
@@ -70,7 +70,7 @@ def _replace_in_tree(file: Path, **changes: object) -> None:
     )
 
 
-def test_diagnostics_of_the_mesh_come_back_in_the_file(tmp_path: Path) -> None:
+def test_diagnostics_of_the_mesh_are_stored(tmp_path: Path) -> None:
     mesh = sheet(20)
     hierarchy = lod.build(mesh.with_(normals=np.tile((0.0, 0.0, 1.0), (len(mesh.vertices), 1))))
     assert [str(one) for one in hierarchy.diagnostics] == ["lod drops these attributes of the mesh: normals."]
@@ -93,13 +93,13 @@ def test_diagnostics_of_the_mesh_come_back_in_the_file(tmp_path: Path) -> None:
         [{"code": "a.b", "severity": "info", "message": "text", "where": {"row": "1"}}],
     ],
 )
-def test_a_diagnostic_that_is_none_is_damage(file: Path, diagnostics: object) -> None:
+def test_a_malformed_diagnostic_is_damage(file: Path, diagnostics: object) -> None:
     _replace_in_tree(file, diagnostics=diagnostics)
     with pytest.raises(InputError, match="is damaged"):
         lod.read_slod(file)
 
 
-def test_single_precision_is_used_where_it_loses_nothing(tmp_path: Path) -> None:
+def test_single_precision_is_used_if_it_is_lossless(tmp_path: Path) -> None:
     mesh = sheet(20)
     rounded = mesh.with_(vertices=mesh.vertices.astype(np.float32).astype(np.float64))
     sizes = []
@@ -111,7 +111,7 @@ def test_single_precision_is_used_where_it_loses_nothing(tmp_path: Path) -> None
     assert sizes[1] < sizes[0]
 
 
-def test_any_beginning_is_a_coarse_model(built: Built, file: Path) -> None:
+def test_every_prefix_is_a_coarse_model(built: Built, file: Path) -> None:
     mesh, hierarchy = built
     data = file.read_bytes()
     read = set()
@@ -130,10 +130,10 @@ def test_any_beginning_is_a_coarse_model(built: Built, file: Path) -> None:
     assert len(read) > 4
 
 
-def test_damage_is_one_sentence_or_a_coarser_model(file: Path) -> None:
+def test_damage_is_one_error_or_a_coarser_model(file: Path) -> None:
     data = file.read_bytes()
     random = np.random.default_rng(5)
-    said = []
+    messages = []
     for _ in range(300):
         damaged = bytearray(data)
         for _ in range(int(random.integers(1, 4))):
@@ -142,13 +142,13 @@ def test_damage_is_one_sentence_or_a_coarser_model(file: Path) -> None:
         try:
             lod.read_slod(file).cut(triangles=500)
         except InputError as error:
-            said.append(str(error))
-    assert said
-    assert all(sentence.startswith(str(file)) and "\n" not in sentence for sentence in said)
+            messages.append(str(error))
+    assert messages
+    assert all(sentence.startswith(str(file)) and "\n" not in sentence for sentence in messages)
 
 
-def with_tree(data: bytes, **changes: object) -> bytes:
-    """Return a file whose tree says something else, with the checksum that belongs to it."""
+def replace_in_tree(data: bytes, **changes: object) -> bytes:
+    """Return a file with changed tree entries and a valid checksum."""
     size = struct.unpack_from("<Q", data, 8)[0]
     tree = json.loads(data[20 : 20 + size])
     for name, value in changes.items():
@@ -157,7 +157,7 @@ def with_tree(data: bytes, **changes: object) -> bytes:
     return struct.pack("<4sIQI", b"SLOD", 2, len(text), zlib.crc32(text)) + text + data[20 + size :]
 
 
-def test_a_tree_that_lies_is_refused(file: Path) -> None:
+def test_a_tree_with_false_entries_is_refused(file: Path) -> None:
     data = file.read_bytes()
     nodes = lod.read_slod(file).nodes
     for changes in (
@@ -175,7 +175,7 @@ def test_a_tree_that_lies_is_refused(file: Path) -> None:
         {"coordinates": "float16"},
         {"nodes": None},
     ):
-        file.write_bytes(with_tree(data, **changes))
+        file.write_bytes(replace_in_tree(data, **changes))
         with pytest.raises(InputError, match=r"damaged|not whole"):
             lod.read_slod(file)
 

@@ -1,4 +1,4 @@
-"""Tiles with images, read back from their files: the same surface, in the colours of the model."""
+"""Textured tiles, read back from files: the same surface, in the colours of the model."""
 
 from __future__ import annotations
 
@@ -23,20 +23,23 @@ from scanloom.stages.surface.mesh_files import read_mesh
 from scanloom.stages.surface.raycasting import RaycastingSurface
 from scanloom.stages.surface.surface_color import compute_surface_colors, sample_bilinear
 from scanloom.stages.surface.texture import Image, Material, Texture
-from tests.stages.lod.test_tiles import base_of, contents, random_cut, welded
+from tests.stages.lod.test_tiles import choose_random_cut, get_finest_mesh, read_contents, weld_tiles
 
 SMALL: dict[str, Any] = {"cell_triangles": 300, "root_triangles": 100, "ratio": 2.5, "threads": 1}
 
 
-def waves(width: int, height: int, turns: float) -> Image:
-    """Smooth colours without a seam from left to right."""
+def make_waves(width: int, height: int, turns: float) -> Image:
+    """Make smooth colours that are periodic from left to right."""
     x, y = np.meshgrid(np.linspace(0, 1, width, endpoint=False), np.linspace(0, 1, height))
     channels = [np.cos(2 * np.pi * turns * x), np.sin(2 * np.pi * turns * x) * np.sin(3 * y), np.cos(4 * y)]
     return Image(given=np.rint(128 + 100 * np.stack(channels, axis=2)).astype(np.uint8))
 
 
-def ball() -> Mesh:
-    """A ball with a seam from pole to pole; its image goes on across that, and is calm at the poles."""
+def make_textured_ball() -> Mesh:
+    """Make a ball with a UV seam from pole to pole.
+
+    The image is continuous across the seam and smooth at the poles.
+    """
     mesh = wrapped_ball(20, 32)
     assert mesh.texture is not None
     across, down = ((np.arange(count) + 0.5) / count for count in (256, 128))
@@ -45,27 +48,27 @@ def ball() -> Mesh:
     channels = [wide * np.cos(2 * around), wide * np.sin(2 * around), np.cos(2 * polar)]
     pixels = np.rint(128 + 100 * np.stack(channels, axis=2)).astype(np.uint8)
     material = Material(image=Image(given=pixels), wrap=("repeat", "clamp"))
-    return mesh.with_(texture=replace(mesh.texture, materials=(material,), material_ids=zeros(mesh)))
+    return mesh.with_(texture=replace(mesh.texture, materials=(material,), material_ids=make_zeros(mesh)))
 
 
-def patchwork() -> Mesh:
-    """A sheet of two images and a plain third material, which meet along straight lines."""
+def make_patchwork() -> Mesh:
+    """Make a sheet of two images and an untextured material, which meet along straight lines."""
     mesh = sheet(24, noise=0.0)
     places = mesh.vertices[mesh.triangles][:, :, :2]
     ids = np.minimum((places[:, :, 0].mean(axis=1) * 3).astype(np.int32), 2)
     materials = (
-        Material(image=waves(192, 192, 1)),
-        Material(image=waves(192, 96, 3)),
+        Material(image=make_waves(192, 192, 1)),
+        Material(image=make_waves(192, 96, 3)),
         Material(base_color=(0.2, 0.5, 0.8, 1.0)),
     )
     return Mesh(mesh.vertices, mesh.triangles, texture=Texture(places.copy(), ids, materials))
 
 
-def zeros(mesh: Mesh) -> NDArray[np.int32]:
+def make_zeros(mesh: Mesh) -> NDArray[np.int32]:
     return np.zeros(len(mesh.triangles), np.int32)
 
 
-MODELS = {"ball": ball, "patchwork": patchwork}
+MODELS = {"ball": make_textured_ball, "patchwork": make_patchwork}
 
 
 @pytest.fixture(scope="module")
@@ -75,7 +78,7 @@ def models() -> dict[str, Mesh]:
 
 @pytest.fixture(scope="module")
 def hierarchies(models: dict[str, Mesh]) -> dict[str, Hierarchy]:
-    # Without the model that they keep: tiles with and without images are compared.
+    # The stored model is removed, because tiles with and without images are compared.
     return {name: replace(lod.build(mesh, **SMALL), model_glb=None) for name, mesh in models.items()}
 
 
@@ -90,14 +93,14 @@ def folders(
     return {path.name: path for path in folder.iterdir()}
 
 
-def pairs(folders: dict[str, Path], name: str) -> list[tuple[Tile, Tile]]:
+def pair_tiles(folders: dict[str, Path], name: str) -> list[tuple[Tile, Tile]]:
     tiles, plain = (list(read_tiles(folders[which]).all()) for which in (name, f"{name}-plain"))
     return list(zip(tiles, plain, strict=True))
 
 
 @pytest.mark.parametrize("name", MODELS)
-def test_shape_and_errors_are_those_of_tiles_without_images(folders: dict[str, Path], name: str) -> None:
-    for tile, plain in pairs(folders, name):
+def test_shape_and_errors_equal_those_without_images(folders: dict[str, Path], name: str) -> None:
+    for tile, plain in pair_tiles(folders, name):
         assert (tile.vertices[tile.triangles] == plain.vertices[plain.triangles]).all()
         assert tile.gltf["nodes"] == plain.gltf["nodes"]
         for what in ("boundingVolume", "geometricError"):
@@ -107,20 +110,20 @@ def test_shape_and_errors_are_those_of_tiles_without_images(folders: dict[str, P
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", MODELS)
-def test_mixed_cuts_have_no_crack(
+def test_mixed_cuts_have_no_cracks(
     folders: dict[str, Path], hierarchies: dict[str, Hierarchy], name: str
 ) -> None:
-    root, original = read_tiles(folders[name]), base_of(hierarchies[name])
+    root, original = read_tiles(folders[name]), get_finest_mesh(hierarchies[name])
     rng = np.random.default_rng(1)
     if name == "ball":
-        # There are seams that could come open.
+        # The seams could open.
         assert any(len(tile.vertices) > len(np.unique(tile.vertices, axis=0)) for tile in root.all())
     for _ in range(200):
-        assert_same_topology(welded(random_cut(root, rng)), original)
+        assert_same_topology(weld_tiles(choose_random_cut(root, rng)), original)
 
 
-def shown(tile: Tile, count: int, seed: int = 0) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return points of a tile and the colours that its image has there, levels."""
+def sample_tile(tile: Tile, count: int, seed: int = 0) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Sample points of a tile, and the colours of its image there, levels."""
     assert tile.image is not None
     assert tile.uvs is not None
     pixels = decode_image(tile.image)
@@ -134,25 +137,25 @@ def shown(tile: Tile, count: int, seed: int = 0) -> tuple[NDArray[np.float64], N
     return np.einsum("kc,kcx->kx", weights, corners[chosen]), np.asarray(colors, np.float64)
 
 
-def of_model(model: Mesh, points: NDArray[np.float64]) -> NDArray[np.float64]:
+def get_model_colors(model: Mesh, points: NDArray[np.float64]) -> NDArray[np.float64]:
     at = RaycastingSurface(model).find_closest_points(points)
     return np.asarray(compute_surface_colors(model, at.triangles, at.weights), np.float64)
 
 
-def rms(levels: NDArray[np.float64]) -> float:
+def compute_rms(levels: NDArray[np.float64]) -> float:
     return float(np.sqrt((levels**2).mean()))
 
 
 @pytest.mark.parametrize("name", MODELS)
-def test_tiles_show_the_colours_of_the_model(
+def test_tiles_have_the_colours_of_the_model(
     folders: dict[str, Path], models: dict[str, Mesh], name: str
 ) -> None:
     for tile in read_tiles(folders[name]).all():
-        points, colors = shown(tile, 12_000)
-        apart = colors - of_model(models[name], points)
+        points, colors = sample_tile(tile, 12_000)
+        apart = colors - get_model_colors(models[name], points)
         extras = tile.tree["content"]["extras"]
-        # What is said of it is what another sampling finds.
-        assert rms(apart) == pytest.approx(extras["color_rms_levels_sampled"], rel=0.3, abs=0.2)
+        # Another sampling confirms the stored statistics.
+        assert compute_rms(apart) == pytest.approx(extras["color_rms_levels_sampled"], rel=0.3, abs=0.2)
         within = (np.abs(apart).max(axis=1) <= extras["color_95_levels_sampled"] + 0.5).mean()
         assert within > 0.9
         assert extras["color_95_levels_sampled"] <= extras["color_max_levels_sampled"]
@@ -164,17 +167,17 @@ def test_tiles_show_the_colours_of_the_model(
             "color_max_levels_sampled",
         }
         if name == "patchwork":
-            # Where its images meet, a texel shows both.
+            # At the boundary between two images, a texel mixes both.
             apart = apart[(np.abs(points[:, :1] - (1 / 3, 2 / 3)) > 0.08).all(axis=1)]
-        assert rms(apart) < (2.5 if not tile.children else 6)
+        assert compute_rms(apart) < (2.5 if not tile.children else 6)
 
 
 @pytest.mark.parametrize("name", MODELS)
-def test_both_sides_of_a_border_show_the_same(folders: dict[str, Path], name: str) -> None:
+def test_adjacent_tiles_have_equal_colours_at_their_boundary(folders: dict[str, Path], name: str) -> None:
     leaves = list(read_tiles(folders[name]).leaves())
     found: dict[bytes, list[NDArray[np.float64]]] = {}
     for tile in leaves:
-        # Where its images meet, the patchwork has two colours at one place.
+        # At the boundary between two images, the patchwork has two colours at the same point.
         meets = (np.abs(tile.vertices[:, :1] - (1 / 3, 2 / 3)) < 0.08).any(axis=1) & (name == "patchwork")
         assert tile.image is not None
         assert tile.uvs is not None
@@ -190,7 +193,7 @@ def test_both_sides_of_a_border_show_the_same(folders: dict[str, Path], name: st
     assert np.quantile(np.array(several).max(axis=1), 0.95) < 10
 
 
-def test_texels_are_as_large_as_errors_ask_for_and_the_model_allows(
+def test_texel_size_follows_from_the_error_and_the_model(
     models: dict[str, Mesh], hierarchies: dict[str, Hierarchy], tmp_path: Path
 ) -> None:
     model, hierarchy = models["ball"], hierarchies["ball"]
@@ -211,7 +214,7 @@ def test_texels_are_as_large_as_errors_ask_for_and_the_model_allows(
     for found, finest in zip(extras, own, strict=True):
         wanted = max(found["shape_bound_m"], finest["texel_size_m"])
         assert found["texel_size_m"] == pytest.approx(wanted, rel=0.1)
-    # The image has fewer texels a metre around the ball's middle than at its poles.
+    # The image has fewer texels per metre around the equator than at the poles.
     assert max(image.texel_size for image in fine) < 1.5 * min(image.texel_size for image in fine)
     assert not any(image.is_coarser_than_requested for image in (*coarse, *fine))
     assert any(image.is_coarser_than_requested for image in narrow)
@@ -220,11 +223,11 @@ def test_texels_are_as_large_as_errors_ask_for_and_the_model_allows(
 
 
 @pytest.mark.slow
-def test_where_the_model_has_finer_texels_tiles_have(tmp_path: Path) -> None:
+def test_tiles_have_finer_texels_where_the_model_has(tmp_path: Path) -> None:
     mesh = sheet(40, noise=0.0)
     places = mesh.vertices[mesh.triangles][:, :, :2]
     ids = (places[:, :, 0].mean(axis=1) > 0.5).astype(np.int32)
-    materials = (Material(image=waves(512, 512, 1)), Material(image=waves(64, 64, 1)))
+    materials = (Material(image=make_waves(512, 512, 1)), Material(image=make_waves(64, 64, 1)))
     model = Mesh(mesh.vertices, mesh.triangles, texture=Texture(places.copy(), ids, materials))
     hierarchy = lod.build(model, cell_triangles=200, root_triangles=100, threads=1)
     lod.write_tiles(hierarchy, tmp_path / "out", texture=model)
@@ -235,7 +238,7 @@ def test_where_the_model_has_finer_texels_tiles_have(tmp_path: Path) -> None:
             found[bool(x.min() > 0.5)].append(tile.tree["content"]["extras"]["texel_size_m"])
     assert len(found[False]) > 1
     assert len(found[True]) > 1
-    # The surface is a little larger than its place in the image.
+    # The surface is slightly larger than its region of the image.
     assert found[False] == pytest.approx([1 / 512] * len(found[False]), rel=0.3)
     assert found[True] == pytest.approx([1 / 64] * len(found[True]), rel=0.3)
 
@@ -248,7 +251,7 @@ def test_where_the_model_has_finer_texels_tiles_have(tmp_path: Path) -> None:
         ("webp", b"RIFF", ["EXT_texture_webp"]),
     ],
 )
-def test_images_of_each_kind(
+def test_images_are_written_in_each_format(
     models: dict[str, Mesh],
     hierarchies: dict[str, Hierarchy],
     tmp_path: Path,
@@ -268,7 +271,7 @@ def test_images_of_each_kind(
     assert tile.colors is None
 
 
-def test_other_readers_find_the_same(folders: dict[str, Path], models: dict[str, Mesh]) -> None:
+def test_other_readers_get_the_same_tiles(folders: dict[str, Path], models: dict[str, Mesh]) -> None:
     import trimesh
 
     folder = folders["ball"]
@@ -283,13 +286,13 @@ def test_other_readers_find_the_same(folders: dict[str, Path], models: dict[str,
         (image,) = ours.texture.images
         assert image.file_bytes == tile.image
         (theirs,) = trimesh.load_scene(io.BytesIO(path.read_bytes()), file_type="glb").geometry.values()
-        # Colours of the middles of triangles, as trimesh has them: it overlooks that coordinates of 16 bits
-        # are shares of the image, and counts them from its lower left corner.
+        # Colours at triangle centres from trimesh. trimesh ignores that 16-bit coordinates are normalised,
+        # and its origin is the lower left corner.
         u, v = theirs.visual.uv[theirs.faces].mean(axis=1).T
         uvs = np.stack([u / 65535, 1 - (1 - v) / 65535], axis=1)
         colors = theirs.visual.material.to_color(uvs)[:, :3].astype(np.float64)
         middles = tile.vertices[tile.triangles].mean(axis=1).astype(np.float64)
-        assert rms(colors - of_model(models["ball"], middles)) < 12
+        assert compute_rms(colors - get_model_colors(models["ball"], middles)) < 12
 
 
 def test_vertex_colours_become_images(tmp_path: Path) -> None:
@@ -298,11 +301,11 @@ def test_vertex_colours_become_images(tmp_path: Path) -> None:
     hierarchy = lod.build(light, **SMALL)
     lod.write_tiles(hierarchy, tmp_path / "out", texture=fine)
     for tile in read_tiles(tmp_path / "out").leaves():
-        points, colors = shown(tile, 2000)
-        assert rms(colors - of_model(fine, points)) < 6
+        points, colors = sample_tile(tile, 2000)
+        assert compute_rms(colors - get_model_colors(fine, points)) < 6
 
 
-def test_far_models_are_found_where_the_levels_are(
+def test_models_far_from_the_origin_are_matched_to_their_levels(
     models: dict[str, Mesh], hierarchies: dict[str, Hierarchy], folders: dict[str, Path], tmp_path: Path
 ) -> None:
     move = np.array([4096.0, -8192.0, 0.0])
@@ -316,7 +319,7 @@ def test_far_models_are_found_where_the_levels_are(
         assert found == pytest.approx(extras["color_rms_levels_sampled"], rel=0.3, abs=0.3)
 
 
-def test_the_same_bytes_on_any_number_of_threads(
+def test_the_bytes_do_not_depend_on_the_thread_count(
     models: dict[str, Mesh],
     hierarchies: dict[str, Hierarchy],
     folders: dict[str, Path],
@@ -325,50 +328,50 @@ def test_the_same_bytes_on_any_number_of_threads(
 ) -> None:
     monkeypatch.setattr("scanloom.stages.lod.tile_texture.get_worker_count", lambda: 1)
     lod.write_tiles(hierarchies["patchwork"], tmp_path / "out", texture=models["patchwork"])
-    assert contents(tmp_path / "out") == contents(folders["patchwork"])
+    assert read_contents(tmp_path / "out") == read_contents(folders["patchwork"])
     monkeypatch.setattr("scanloom.stages.lod.tile_texture.get_worker_count", lambda: 5)
     lod.write_tiles(hierarchies["patchwork"], tmp_path / "out", texture=models["patchwork"])
-    assert contents(tmp_path / "out") == contents(folders["patchwork"])
+    assert read_contents(tmp_path / "out") == read_contents(folders["patchwork"])
 
 
-def plain(model: Mesh) -> Mesh:
+def remove_texture(model: Mesh) -> Mesh:
     return Mesh(model.vertices, model.triangles)
 
 
-def without_image(model: Mesh) -> Mesh:
+def remove_image(model: Mesh) -> Mesh:
     assert model.texture is not None
     return model.with_(texture=replace(model.texture, materials=(Material(name="lost"),)))
 
 
-def elsewhere(model: Mesh) -> Mesh:
+def move_away(model: Mesh) -> Mesh:
     return model.with_(vertices=np.add(model.vertices, (0.0, 0.0, 3.0)))
 
 
-def other_unit(model: Mesh) -> Mesh:
+def scale_to_millimetres(model: Mesh) -> Mesh:
     return model.with_(vertices=1000 * model.vertices)
 
 
 @pytest.mark.parametrize(
-    ("change", "said"),
+    ("change", "message"),
     [
-        (plain, "neither an image nor vertex colours"),
-        (without_image, "neither an image nor vertex colours"),
+        (remove_texture, "neither an image nor vertex colours"),
+        (remove_image, "neither an image nor vertex colours"),
         (
-            elsewhere,
+            move_away,
             "model: does not match the levels, which are .* m large: half of their vertices are more than",
         ),
-        (other_unit, "does not match the levels"),
+        (scale_to_millimetres, "does not match the levels"),
     ],
 )
-def test_models_that_cannot_be_used_are_told(
-    models: dict[str, Mesh], hierarchies: dict[str, Hierarchy], tmp_path: Path, change: Any, said: str
+def test_unusable_models_are_reported(
+    models: dict[str, Mesh], hierarchies: dict[str, Hierarchy], tmp_path: Path, change: Any, message: str
 ) -> None:
-    with pytest.raises(MeshError, match=said):
+    with pytest.raises(MeshError, match=message):
         lod.write_tiles(hierarchies["ball"], tmp_path / "out", texture=change(models["ball"]))
     assert list(tmp_path.iterdir()) == []
 
 
-def test_transparency_is_told_to_be_left_out(
+def test_dropped_transparency_is_reported(
     models: dict[str, Mesh], hierarchies: dict[str, Hierarchy], tmp_path: Path
 ) -> None:
     texture = models["ball"].texture
@@ -383,7 +386,7 @@ def test_transparency_is_told_to_be_left_out(
     assert lod.write_tiles(hierarchies["ball"], tmp_path / "out", texture=models["ball"]).diagnostics == ()
 
 
-def test_a_tile_of_many_pieces_that_no_image_holds_is_told(tmp_path: Path) -> None:
+def test_too_many_charts_for_a_tile_image_are_reported(tmp_path: Path) -> None:
     rng = np.random.default_rng(0)
     vertices = (rng.uniform(0, 1, (900, 1, 3)) + 0.02 * rng.uniform(-1, 1, (900, 3, 3))).reshape(-1, 3)
     crumbs = Mesh(
@@ -401,21 +404,21 @@ def test_a_tile_of_many_pieces_that_no_image_holds_is_told(tmp_path: Path) -> No
     assert all(image.color_max <= 2 for image in written.images)
 
 
-def test_a_tile_without_area_is_told(models: dict[str, Mesh]) -> None:
+def test_a_tile_without_area_is_reported(models: dict[str, Mesh]) -> None:
     line = Mesh(np.array([[0.0, 0, 1], [0, 0, 1], [0, 0, 1]]), np.array([[0, 1, 2]], np.int32))
     model = prepare_color_source(models["ball"], models["ball"], np.zeros(3))
     with pytest.raises(MeshError, match="tile"):
         list(paint_tile_images([TileMesh(line, 0.1, ())], model, lod.TileImageParams()))
 
 
-def test_a_model_without_triangles_is_told(hierarchies: dict[str, Hierarchy], tmp_path: Path) -> None:
+def test_a_model_without_triangles_is_reported(hierarchies: dict[str, Hierarchy], tmp_path: Path) -> None:
     empty = Mesh(np.zeros((0, 3)), np.zeros((0, 3), np.int32))
     with pytest.raises(MeshError, match="model"):
         lod.write_tiles(hierarchies["ball"], tmp_path / "out", texture=empty)
     assert list(tmp_path.iterdir()) == []
 
 
-def test_metrics_say_what_images_take(
+def test_metrics_contain_the_size_of_images(
     models: dict[str, Mesh], hierarchies: dict[str, Hierarchy], tmp_path: Path
 ) -> None:
     written = lod.write_tiles(hierarchies["ball"], tmp_path / "out", texture=models["ball"])
@@ -430,20 +433,20 @@ def test_metrics_say_what_images_take(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["meshes/spot/spot_triangulated.obj", "meshes/Duck.glb"])
-def test_tiles_of_real_models(shared_data: Path, tmp_path: Path, name: str) -> None:
+def test_tiles_of_real_models_are_sound(shared_data: Path, tmp_path: Path, name: str) -> None:
     model = clean(read_mesh(shared_data / name)).mesh.with_(normals=None, corner_normals=None)
     assert model.texture is not None
     if not model.texture.images:
         pixels = decode_image((shared_data / "meshes" / "spot" / "spot_texture.png").read_bytes())
         texture = replace(
-            model.texture, materials=(Material(image=Image(given=pixels)),), material_ids=zeros(model)
+            model.texture, materials=(Material(image=Image(given=pixels)),), material_ids=make_zeros(model)
         )
         model = model.with_(texture=texture)
     hierarchy = lod.build(model, cell_triangles=2000, threads=2)
     lod.write_tiles(hierarchy, tmp_path / "out", texture=model, up="+y")
-    root, rng, original = read_tiles(tmp_path / "out"), np.random.default_rng(4), base_of(hierarchy)
+    root, rng, original = read_tiles(tmp_path / "out"), np.random.default_rng(4), get_finest_mesh(hierarchy)
     for _ in range(30):
-        assert_same_topology(welded(random_cut(root, rng)), original)
+        assert_same_topology(weld_tiles(choose_random_cut(root, rng)), original)
     for tile in root.leaves():
-        points, colors = shown(tile, 2000)
-        assert rms(colors - of_model(model, points)) < 6
+        points, colors = sample_tile(tile, 2000)
+        assert compute_rms(colors - get_model_colors(model, points)) < 6

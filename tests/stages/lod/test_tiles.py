@@ -1,4 +1,4 @@
-"""3D Tiles of a hierarchy: what is read back from the files is sound, fits together, keeps what it says."""
+"""3D Tiles of a hierarchy, read back from files: sound, without cracks, within their bounds."""
 
 from __future__ import annotations
 
@@ -33,19 +33,19 @@ UNPACK = Path(__file__).resolve().parents[2] / "made" / "unpack_tiles.mjs"
 VALIDATE = Path(__file__).resolve().parents[2] / "made" / "validate_glb.cjs"
 
 
-def closed() -> Mesh:
+def make_closed_mesh() -> Mesh:
     import trimesh
 
     return color_trimesh(trimesh.creation.torus(1.0, 0.4, major_sections=30, minor_sections=15))
 
 
-def open_sheet() -> Mesh:
+def make_open_mesh() -> Mesh:
     return sheet(18)
 
 
 @pytest.fixture(scope="module")
 def hierarchies() -> dict[str, Hierarchy]:
-    made = {"closed": closed(), "open": open_sheet()}
+    made = {"closed": make_closed_mesh(), "open": make_open_mesh()}
     return {
         name: lod.build(mesh, cell_triangles=128, root_triangles=40, ratio=2.0, threads=1)
         for name, mesh in made.items()
@@ -60,8 +60,8 @@ def folders(hierarchies: dict[str, Hierarchy], tmp_path_factory: pytest.TempPath
     return {name: folder / name for name in hierarchies}
 
 
-def base_of(hierarchy: Hierarchy, below: int = 0) -> Mesh:
-    """Return the finest mesh of all that is below a node."""
+def get_finest_mesh(hierarchy: Hierarchy, below: int = 0) -> Mesh:
+    """Get the finest mesh below a node."""
     todo, leaves = [below], []
     while todo:
         node = todo.pop()
@@ -71,16 +71,16 @@ def base_of(hierarchy: Hierarchy, below: int = 0) -> Mesh:
     return hierarchy.mesh(leaves, hierarchy.splits[leaves])
 
 
-def welded(tiles: list[Tile]) -> Mesh:
-    """Return tiles as one mesh, vertices at exactly the same position made one."""
+def weld_tiles(tiles: list[Tile]) -> Mesh:
+    """Merge tiles into one mesh; vertices with equal positions are welded."""
     first = np.cumsum([0, *(len(tile.vertices) for tile in tiles)])
     vertices, index = np.unique(np.vstack([t.vertices for t in tiles]), axis=0, return_inverse=True)
     triangles = np.vstack([t.triangles + at for t, at in zip(tiles, first, strict=False)])
     return Mesh(vertices.astype(np.float64), index.reshape(-1)[triangles].astype(np.int32))
 
 
-def random_cut(root: Tile, rng: np.random.Generator) -> list[Tile]:
-    """Return tiles that are together all of the surface, of mixed levels."""
+def choose_random_cut(root: Tile, rng: np.random.Generator) -> list[Tile]:
+    """Choose tiles of mixed levels that cover the surface."""
     cut, todo, share = [], [root], rng.random()
     while todo:
         tile = todo.pop()
@@ -94,44 +94,44 @@ def random_cut(root: Tile, rng: np.random.Generator) -> list[Tile]:
 @pytest.mark.slow
 @pytest.mark.parametrize("single", [False, True])
 @pytest.mark.parametrize("name", NAMES)
-def test_mixed_cuts_have_no_crack_and_no_edge_of_three(
+def test_mixed_cuts_have_no_cracks_and_no_edge_with_three_triangles(
     hierarchies: dict[str, Hierarchy], tmp_path: Path, name: str, single: bool
 ) -> None:
     hierarchy = hierarchies[name]
     if single:
-        # Bounds that 16 bits are too coarse for.
+        # The bounds are too small for 16-bit positions.
         hierarchy = replace(hierarchy, shape_bound=1e-6 * hierarchy.shape_bound)
     written = lod.write_tiles(hierarchy, tmp_path / "out")
     assert written.grid.in_16_bits is not single
-    root, rng, original = read_tiles(tmp_path / "out"), np.random.default_rng(5), base_of(hierarchy)
+    root, rng, original = read_tiles(tmp_path / "out"), np.random.default_rng(5), get_finest_mesh(hierarchy)
     sizes = set()
     for _ in range(CUTS if not single else 50):
-        cut = random_cut(root, rng)
+        cut = choose_random_cut(root, rng)
         sizes.add(len(cut))
-        assert_same_topology(welded(cut), original)
+        assert_same_topology(weld_tiles(cut), original)
     assert len(sizes) > 5
 
 
-def test_tiles_of_real_meshes_fit(shared_data: Path, tmp_path: Path) -> None:
+def test_tiles_of_real_meshes_fit_together(shared_data: Path, tmp_path: Path) -> None:
     original = clean(read_mesh(shared_data / "meshes" / "stanford-bunny.obj")).mesh
     light = simplify(original, ratio=0.1).mesh
     hierarchy = lod.build(light, cell_triangles=1000, root_triangles=300, ratio=4.0, threads=2)
     lod.write_tiles(hierarchy, tmp_path / "out", up="+y")
     root, rng = read_tiles(tmp_path / "out"), np.random.default_rng(2)
     for _ in range(100):
-        assert_same_topology(welded(random_cut(root, rng)), light)
+        assert_same_topology(weld_tiles(choose_random_cut(root, rng)), light)
 
 
-def test_a_tile_one_step_away_would_be_seen_as_a_crack(folders: dict[str, Path]) -> None:
+def test_a_tile_moved_by_one_grid_step_is_detected_as_a_crack(folders: dict[str, Path]) -> None:
     root = read_tiles(folders["closed"])
     cut = [tile for tile in root.all() if not tile.children]
     cut[0].vertices += np.float32(cut[0].gltf["nodes"][0]["scale"][0])
     with pytest.raises(AssertionError):
-        assert_same_topology(welded(cut), closed())
+        assert_same_topology(weld_tiles(cut), make_closed_mesh())
 
 
-def samples(mesh: Mesh, count: int, rng: np.random.Generator) -> NDArray[np.float64]:
-    """Return vertices, middles of triangles and random points of a mesh."""
+def sample_surface(mesh: Mesh, count: int, rng: np.random.Generator) -> NDArray[np.float64]:
+    """Sample points of a mesh, plus its vertices and triangle centres."""
     corners = mesh.vertices[mesh.triangles]
     area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
     chosen = rng.choice(len(corners), count, p=area / area.sum())
@@ -141,27 +141,27 @@ def samples(mesh: Mesh, count: int, rng: np.random.Generator) -> NDArray[np.floa
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
-def test_no_attack_passes_a_tiles_geometric_error(
+def test_no_sampled_point_exceeds_the_geometric_error_of_a_tile(
     hierarchies: dict[str, Hierarchy], folders: dict[str, Path], name: str
 ) -> None:
     hierarchy, root, rng = hierarchies[name], read_tiles(folders[name]), np.random.default_rng(3)
     found = []
     for tile in root.all():
         stem = Path(tile.tree["content"]["uri"]).stem
-        part = base_of(hierarchy, int(stem.removesuffix("-base")))
+        part = get_finest_mesh(hierarchy, int(stem.removesuffix("-base")))
         mesh = Mesh(tile.vertices.astype(np.float64), tile.triangles.astype(np.int32))
         away = max(
-            RaycastingSurface(a).find_closest_points(samples(b, 3000, rng)).distances.max()
+            RaycastingSurface(a).find_closest_points(sample_surface(b, 3000, rng)).distances.max()
             for a, b in ((mesh, part), (part, mesh))
         )
         bound = tile.tree["content"]["extras"]["shape_bound_m"]
         assert away <= bound <= tile.tree["geometricError"]
         found.append(away / bound)
-    # The bounds are close, and the attack is one.
+    # The bounds are tight, so the sampling is a real test.
     assert np.median(found) > 0.5
 
 
-def test_what_was_seen_from_one_side_says_from_which(folders: dict[str, Path]) -> None:
+def test_a_surface_seen_from_one_side_stores_its_facing(folders: dict[str, Path]) -> None:
     about = {
         name: json.loads((folders[name] / "tileset.json").read_text())["asset"]["extras"] for name in NAMES
     }
@@ -170,7 +170,7 @@ def test_what_was_seen_from_one_side_says_from_which(folders: dict[str, Path]) -
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_tiles_say_what_is_proven_and_how_far_the_grid_moves_them(
+def test_tiles_store_their_proven_bound_including_grid_displacement(
     hierarchies: dict[str, Hierarchy], folders: dict[str, Path], name: str
 ) -> None:
     hierarchy, root = hierarchies[name], read_tiles(folders[name])
@@ -185,7 +185,7 @@ def test_tiles_say_what_is_proven_and_how_far_the_grid_moves_them(
         assert is_base is not bool(tile.children)
 
 
-def test_a_tile_with_one_child_is_much_lighter(
+def test_a_tile_with_one_child_has_far_fewer_triangles(
     folders: dict[str, Path], hierarchies: dict[str, Hierarchy]
 ) -> None:
     total = 0
@@ -194,7 +194,7 @@ def test_a_tile_with_one_child_is_much_lighter(
         for tile in tiles:
             if len(tile.children) == 1:
                 assert len(tile.triangles) <= 0.8 * len(tile.children[0].triangles)
-        # Others are left out, and so their children stand in their place.
+        # Similar parents are omitted, and their children take their position.
         hierarchy = hierarchies[name]
         alone = np.array([len(children) < 2 for children in hierarchy.children])
         left_out = int((alone & (hierarchy.coarse > 0.8 * hierarchy.full)).sum())
@@ -203,14 +203,8 @@ def test_a_tile_with_one_child_is_much_lighter(
     assert total > 0
 
 
-def test_the_finest_tiles_are_the_mesh(hierarchies: dict[str, Hierarchy], folders: dict[str, Path]) -> None:
-    def sorted_corners(mesh: Mesh) -> NDArray[np.float64]:
-        corners = mesh.vertices[mesh.triangles]
-        assert mesh.colors is not None
-        keys = np.dstack([corners, mesh.colors[mesh.triangles].astype(np.float64)]).reshape(len(corners), -1)
-        return keys[np.lexsort(np.rint(keys * 1e3).T)]
-
-    for name, mesh in {"closed": closed(), "open": open_sheet()}.items():
+def test_the_finest_tiles_equal_the_mesh(hierarchies: dict[str, Hierarchy], folders: dict[str, Path]) -> None:
+    for name, mesh in {"closed": make_closed_mesh(), "open": make_open_mesh()}.items():
         grid = snap_to_grid(hierarchies[name])[1]
         tiles = list(read_tiles(folders[name]).leaves())
         corners, colors = [], []
@@ -223,7 +217,7 @@ def test_the_finest_tiles_are_the_mesh(hierarchies: dict[str, Hierarchy], folder
         back, shown = np.vstack(corners).astype(np.float64), np.vstack(colors)
         was = mesh.vertices[mesh.triangles]
         assert mesh.colors is not None
-        # Each triangle by its middle: the nearest one is it, at any corner it begins with.
+        # Match triangles by their centres, at any starting corner.
         from scipy.spatial import cKDTree
 
         _, of = cKDTree(was.mean(axis=1)).query(back.mean(axis=1))
@@ -300,7 +294,7 @@ TILESET = {
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_the_tileset_is_as_the_format_wants_it(folders: dict[str, Path], name: str) -> None:
+def test_the_tileset_follows_the_schema(folders: dict[str, Path], name: str) -> None:
     tree = json.loads((folders[name] / "tileset.json").read_bytes())
     jsonschema.validate(tree, TILESET, cls=jsonschema.Draft202012Validator)
     assert tree["geometricError"] >= tree["root"]["geometricError"]
@@ -311,7 +305,7 @@ def test_the_tileset_is_as_the_format_wants_it(folders: dict[str, Path], name: s
     assert sorted(files) == sorted(["tileset.json", *named])
 
 
-def box_of(tile: Tile) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def get_box(tile: Tile) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     box = np.array(tile.tree["boundingVolume"]["box"])
     half = box[3:].reshape(3, 3)
     assert (half == np.diag(half.diagonal())).all()
@@ -320,21 +314,21 @@ def box_of(tile: Tile) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_boxes_hold_what_is_in_them_and_errors_fall_towards_the_leaves(
+def test_boxes_contain_their_content_and_errors_decrease_towards_leaves(
     folders: dict[str, Path], name: str
 ) -> None:
     for tile in read_tiles(folders[name]).all():
-        low, high = box_of(tile)
+        low, high = get_box(tile)
         assert (low < tile.vertices.min(axis=0)).all()
         assert (tile.vertices.max(axis=0) < high).all()
         for child in tile.children:
-            lower, higher = box_of(child)
+            lower, higher = get_box(child)
             assert (low <= lower).all()
             assert (higher <= high).all()
             assert child.tree["geometricError"] <= tile.tree["geometricError"]
 
 
-def test_a_tile_is_sound_gltf(folders: dict[str, Path]) -> None:
+def test_a_tile_is_valid_gltf(folders: dict[str, Path]) -> None:
     tile = read_tiles(folders["closed"])
     assert tile.gltf["extensionsUsed"] == ["KHR_mesh_quantization", "KHR_materials_unlit"]
     assert tile.gltf["extensionsRequired"] == ["KHR_mesh_quantization"]
@@ -342,14 +336,14 @@ def test_a_tile_is_sound_gltf(folders: dict[str, Path]) -> None:
     step = node["scale"][0]
     assert node["scale"] == [step] * 3
     assert np.frexp(step)[0] == 0.5
-    # All that is computed of it is exact in single precision.
+    # All decoded values are exact in single precision.
     assert (np.array(node["translation"], np.float32) == node["translation"]).all()
     assert (np.rint(tile.vertices / step) * step == tile.vertices).all()
     assert tile.triangles.max() == len(tile.vertices) - 1
     assert len(np.unique(tile.triangles)) == len(tile.vertices)
 
 
-def test_other_readers_find_the_same(folders: dict[str, Path]) -> None:
+def test_other_readers_get_the_same_tiles(folders: dict[str, Path]) -> None:
     for tile in read_tiles(folders["open"]).all():
         mesh = read_mesh(folders["open"] / tile.tree["content"]["uri"])
         x, y, z = tile.vertices.T
@@ -358,9 +352,7 @@ def test_other_readers_find_the_same(folders: dict[str, Path]) -> None:
         assert mesh.colors is not None
 
 
-def test_without_colours_light_makes_the_shape_seen(
-    hierarchies: dict[str, Hierarchy], tmp_path: Path
-) -> None:
+def test_tiles_without_colours_are_shaded(hierarchies: dict[str, Hierarchy], tmp_path: Path) -> None:
     lod.write_tiles(replace(hierarchies["open"], colors=None), tmp_path / "out")
     for tile in read_tiles(tmp_path / "out").all():
         assert tile.colors is None
@@ -368,7 +360,7 @@ def test_without_colours_light_makes_the_shape_seen(
         assert list(tile.tree["content"]["extras"]) == ["shape_bound_m"]
 
 
-def test_many_vertices_have_wide_indices(hierarchies: dict[str, Hierarchy]) -> None:
+def test_many_vertices_use_32_bit_indices(hierarchies: dict[str, Hierarchy]) -> None:
     count = 65_536
     vertices = np.stack([np.arange(count), np.arange(count) % 7, np.zeros(count)], axis=1)
     triangles = np.stack([np.arange(count - 2) + k for k in range(3)], axis=1).astype(np.int32)
@@ -383,15 +375,14 @@ def test_many_vertices_have_wide_indices(hierarchies: dict[str, Hierarchy]) -> N
         assert (read == mesh.triangles.reshape(-1)).all()
 
 
-# The grid.
-
-
 @pytest.mark.parametrize("seed", range(5))
-def test_places_of_the_grid_are_taken_once(hierarchies: dict[str, Hierarchy], seed: int) -> None:
+def test_different_vertices_get_different_grid_positions(
+    hierarchies: dict[str, Hierarchy], seed: int
+) -> None:
     rng, hierarchy = np.random.default_rng(seed), hierarchies["open"]
     step = snap_to_grid(hierarchy)[1].step
     vertices = hierarchy.vertices.copy()
-    # A crowd about some vertices, closer than a step, and copies that have to stay together.
+    # Many vertices within one step of another vertex, and copies that must stay together.
     crowd, copies = rng.choice(np.arange(10, len(vertices)), (2, 60), replace=False)
     vertices[crowd] = vertices[:6].repeat(10, axis=0) + rng.uniform(-0.3, 0.3, (60, 3)) * step
     vertices[copies] = vertices[crowd]
@@ -404,7 +395,7 @@ def test_places_of_the_grid_are_taken_once(hierarchies: dict[str, Hierarchy], se
     assert 0.9 * step < away <= grid.max_displacement_m < 4 * step
 
 
-def test_too_many_vertices_in_one_place_are_told(hierarchies: dict[str, Hierarchy]) -> None:
+def test_too_many_vertices_at_one_position_are_reported(hierarchies: dict[str, Hierarchy]) -> None:
     hierarchy = hierarchies["open"]
     rng = np.random.default_rng(0)
     count = 9**3 + 1
@@ -413,7 +404,7 @@ def test_too_many_vertices_in_one_place_are_told(hierarchies: dict[str, Hierarch
         snap_to_grid(replace(hierarchy, vertices=vertices))
 
 
-def test_steps_are_as_fine_as_16_bits_allow(hierarchies: dict[str, Hierarchy]) -> None:
+def test_grid_steps_are_as_fine_as_16_bits_allow(hierarchies: dict[str, Hierarchy]) -> None:
     for hierarchy in hierarchies.values():
         _, grid = snap_to_grid(hierarchy)
         size = np.ptp(hierarchy.vertices, axis=0).max()
@@ -423,7 +414,7 @@ def test_steps_are_as_fine_as_16_bits_allow(hierarchies: dict[str, Hierarchy]) -
 
 
 @pytest.mark.parametrize("single", [False, True])
-def test_far_models_are_moved_by_the_tileset(
+def test_models_far_from_the_origin_are_moved_by_the_root_transform(
     hierarchies: dict[str, Hierarchy], tmp_path: Path, single: bool
 ) -> None:
     hierarchy = hierarchies["open"]
@@ -436,7 +427,7 @@ def test_far_models_are_moved_by_the_tileset(
     points = np.vstack([tile.vertices for tile in read_tiles(tmp_path / "out").leaves()]).astype(np.float64)
     assert abs(points).max() < 1
     x, y, z = (points @ transform[:3, :3].T + transform[:3, 3]).T
-    back, was = np.stack([x, -z, y], axis=1), base_of(far).vertices
+    back, was = np.stack([x, -z, y], axis=1), get_finest_mesh(far).vertices
     from scipy.spatial import cKDTree
 
     assert cKDTree(was).query(back)[0].max() <= written.grid.max_displacement_m
@@ -444,7 +435,9 @@ def test_far_models_are_moved_by_the_tileset(
 
 
 @pytest.mark.parametrize("up", ["+x", "-x", "+y", "-y", "+z", "-z"])
-def test_what_is_up_is_turned_along_z(hierarchies: dict[str, Hierarchy], tmp_path: Path, up: str) -> None:
+def test_the_root_transform_turns_the_up_axis_to_z(
+    hierarchies: dict[str, Hierarchy], tmp_path: Path, up: str
+) -> None:
     lod.write_tiles(hierarchies["open"], tmp_path / "out", up=up)
     root = json.loads((tmp_path / "out" / "tileset.json").read_bytes())["root"]
     transform = np.array(root.get("transform", np.eye(4).tolist()), float).reshape(4, 4).T
@@ -455,90 +448,87 @@ def test_what_is_up_is_turned_along_z(hierarchies: dict[str, Hierarchy], tmp_pat
     assert ("transform" in root) is (up != "+z")
 
 
-def test_none_leaves_it_as_it_is(hierarchies: dict[str, Hierarchy], tmp_path: Path) -> None:
+def test_up_none_writes_no_transform(hierarchies: dict[str, Hierarchy], tmp_path: Path) -> None:
     lod.write_tiles(hierarchies["open"], tmp_path / "out", up="none")
     assert "transform" not in json.loads((tmp_path / "out" / "tileset.json").read_bytes())["root"]
 
 
-def test_what_is_up_is_what_the_levels_say_or_the_model(
+def test_the_up_axis_comes_from_the_option_the_levels_or_the_model(
     hierarchies: dict[str, Hierarchy], tmp_path: Path
 ) -> None:
     plain, upright = hierarchies["open"], replace(hierarchies["open"], up=(0.0, 0.0, 1.0))
     model = plain.cut(max_shape=0).mesh.with_(up=(1.0, 0.0, 0.0))
     model = model.with_(colors=np.full((len(model.vertices), 3), 99, np.uint8))
 
-    def told(hierarchy: Hierarchy, **words: Any) -> tuple[float, float, float] | None:
+    def write_and_get_up(hierarchy: Hierarchy, **words: Any) -> tuple[float, float, float] | None:
         return lod.write_tiles(hierarchy, tmp_path / "out", **words).up
 
-    assert told(plain) == (0, -1, 0)
-    assert told(upright) == (0, 0, 1)
-    assert told(plain, texture=model) == (1, 0, 0)
-    assert told(upright, texture=model) == (0, 0, 1)
-    assert told(upright, up="+y") == (0, 1, 0)
-    assert told(upright, up="none") is None
+    assert write_and_get_up(plain) == (0, -1, 0)
+    assert write_and_get_up(upright) == (0, 0, 1)
+    assert write_and_get_up(plain, texture=model) == (1, 0, 0)
+    assert write_and_get_up(upright, texture=model) == (0, 0, 1)
+    assert write_and_get_up(upright, up="+y") == (0, 1, 0)
+    assert write_and_get_up(upright, up="none") is None
 
 
-def test_no_other_axis_is_up(hierarchies: dict[str, Hierarchy], tmp_path: Path) -> None:
+def test_an_unknown_up_axis_is_refused(hierarchies: dict[str, Hierarchy], tmp_path: Path) -> None:
     with pytest.raises(UsageError, match="up is 'y'; it must be one of"):
         lod.write_tiles(hierarchies["open"], tmp_path / "out", up="y")
     assert list(tmp_path.iterdir()) == []
 
 
-# Folders.
-
-
-def contents(folder: Path) -> dict[str, bytes]:
+def read_contents(folder: Path) -> dict[str, bytes]:
     return {
         path.relative_to(folder).as_posix(): path.read_bytes() for path in folder.rglob("*") if path.is_file()
     }
 
 
-def test_the_same_hierarchy_gives_the_same_bytes_and_replaces_older_tiles(
+def test_tiles_are_deterministic_and_replace_older_tiles(
     hierarchies: dict[str, Hierarchy], folders: dict[str, Path], tmp_path: Path
 ) -> None:
     lod.write_tiles(hierarchies["closed"], tmp_path / "out")
     lod.write_tiles(hierarchies["open"], tmp_path / "out")
-    assert contents(tmp_path / "out") == contents(folders["open"])
+    assert read_contents(tmp_path / "out") == read_contents(folders["open"])
     assert [path.name for path in tmp_path.iterdir()] == ["out"]
 
 
-def refuses_a_file(folder: Path) -> None:
+def make_file(folder: Path) -> None:
     (folder / "out").write_text("mine")
 
 
-def refuses_other_files(folder: Path) -> None:
+def make_folder_with_notes(folder: Path) -> None:
     (folder / "out").mkdir()
     (folder / "out" / "notes.txt").write_text("mine")
 
 
-def refuses_a_tileset_with_more_beside_it(folder: Path) -> None:
+def make_tileset_with_notes(folder: Path) -> None:
     (folder / "out" / "tiles").mkdir(parents=True)
     (folder / "out" / "tileset.json").write_text('{"asset": {"extras": {"scanloom": "0.1.0"}}}')
     (folder / "out" / "notes.txt").write_text("mine")
 
 
-def refuses_tilesets_of_others(folder: Path) -> None:
+def make_foreign_tileset(folder: Path) -> None:
     (folder / "out" / "tiles").mkdir(parents=True)
     (folder / "out" / "tileset.json").write_text('{"asset": {"version": "1.1"}}')
 
 
 @pytest.mark.parametrize(
-    ("make", "said"),
+    ("make", "message"),
     [
-        (refuses_a_file, "this is a file"),
-        (refuses_other_files, "this folder is not empty and is not a tileset of scanloom"),
-        (refuses_a_tileset_with_more_beside_it, "this folder is not empty"),
-        (refuses_tilesets_of_others, "this folder is not empty"),
+        (make_file, "this is a file"),
+        (make_folder_with_notes, "this folder is not empty and is not a tileset of scanloom"),
+        (make_tileset_with_notes, "this folder is not empty"),
+        (make_foreign_tileset, "this folder is not empty"),
     ],
 )
-def test_what_is_no_tileset_of_ours_stays(
-    hierarchies: dict[str, Hierarchy], tmp_path: Path, make: Callable[[Path], None], said: str
+def test_other_files_and_folders_are_not_replaced(
+    hierarchies: dict[str, Hierarchy], tmp_path: Path, make: Callable[[Path], None], message: str
 ) -> None:
     make(tmp_path)
-    before = contents(tmp_path)
-    with pytest.raises(InputError, match=said):
+    before = read_contents(tmp_path)
+    with pytest.raises(InputError, match=message):
         lod.write_tiles(hierarchies["open"], tmp_path / "out")
-    assert contents(tmp_path) == before
+    assert read_contents(tmp_path) == before
 
 
 def test_an_empty_folder_is_filled(hierarchies: dict[str, Hierarchy], tmp_path: Path) -> None:
@@ -547,7 +537,7 @@ def test_an_empty_folder_is_filled(hierarchies: dict[str, Hierarchy], tmp_path: 
     assert (tmp_path / "new" / "out" / "tileset.json").is_file()
 
 
-def test_what_fails_on_the_way_leaves_the_older_tiles(
+def test_a_failure_keeps_the_older_tiles(
     hierarchies: dict[str, Hierarchy], folders: dict[str, Path], tmp_path: Path
 ) -> None:
     def stop(done: int, _all: int) -> None:
@@ -560,11 +550,11 @@ def test_what_fails_on_the_way_leaves_the_older_tiles(
     lod.write_tiles(hierarchies["closed"], tmp_path / "out")
     with pytest.raises(StageError, match="stopped"):
         lod.write_tiles(hierarchies["open"], tmp_path / "out", progress=stop)
-    assert contents(tmp_path / "out") == contents(folders["closed"])
+    assert read_contents(tmp_path / "out") == read_contents(folders["closed"])
     assert [path.name for path in tmp_path.iterdir()] == ["out"]
 
 
-def test_a_file_that_ends_early_gives_no_tiles(hierarchies: dict[str, Hierarchy], tmp_path: Path) -> None:
+def test_a_truncated_file_gives_no_tiles(hierarchies: dict[str, Hierarchy], tmp_path: Path) -> None:
     path = tmp_path / "cut.slod"
     lod.write_slod(path, hierarchies["open"])
     data = path.read_bytes()
@@ -577,7 +567,7 @@ def test_a_file_that_ends_early_gives_no_tiles(hierarchies: dict[str, Hierarchy]
     assert not (tmp_path / "out").exists()
 
 
-def test_metrics_count_what_is_there(hierarchies: dict[str, Hierarchy], tmp_path: Path) -> None:
+def test_metrics_match_the_written_files(hierarchies: dict[str, Hierarchy], tmp_path: Path) -> None:
     written: Any = lod.write_tiles(hierarchies["open"], tmp_path / "out")
     files = sorted((tmp_path / "out" / "tiles").iterdir())
     metrics = written.to_dict()
@@ -594,20 +584,20 @@ def test_metrics_count_what_is_there(hierarchies: dict[str, Hierarchy], tmp_path
 @pytest.mark.slow
 @pytest.mark.parametrize("single", [False, True])
 @pytest.mark.parametrize("name", NAMES)
-def test_the_validator_of_gltf_finds_nothing(
+def test_the_gltf_validator_reports_no_issues(
     hierarchies: dict[str, Hierarchy], tmp_path: Path, name: str, single: bool
 ) -> None:
     hierarchy = hierarchies[name]
     if single:
         hierarchy = replace(hierarchy, shape_bound=1e-6 * hierarchy.shape_bound)
     lod.write_tiles(hierarchy, tmp_path / "out")
-    said = run_node(VALIDATE, PAGE, tmp_path / "out" / "tiles")
-    assert len(said) > 5
-    assert not any(said.values()), said
+    issues = run_node(VALIDATE, PAGE, tmp_path / "out" / "tiles")
+    assert len(issues) > 5
+    assert not any(issues.values()), issues
 
 
-def corners(tile: Tile) -> list[tuple[tuple[float, ...], ...]]:
-    """Return the triangles of a tile by what is at their corners, whatever their order in the file."""
+def list_corner_values(tile: Tile) -> list[tuple[tuple[float, ...], ...]]:
+    """List the triangles of a tile by their corner values, independent of the order in the file."""
     known = [tile.vertices, tile.colors, tile.uvs]
     rows = np.hstack([np.asarray(values, np.float64) for values in known if values is not None])
     found = []
@@ -619,12 +609,14 @@ def corners(tile: Tile) -> list[tuple[tuple[float, ...], ...]]:
 
 
 @pytest.mark.parametrize("kind", ["closed", "open", "image", "single"])
-def test_packed_tiles_hold_the_same(hierarchies: dict[str, Hierarchy], tmp_path: Path, kind: str) -> None:
+def test_compressed_tiles_have_the_same_content(
+    hierarchies: dict[str, Hierarchy], tmp_path: Path, kind: str
+) -> None:
     hierarchy, model = hierarchies["closed" if kind in ("closed", "single") else "open"], None
     if kind == "single":
         hierarchy = replace(hierarchy, shape_bound=1e-6 * hierarchy.shape_bound)
     if kind == "image":
-        model = bake(open_sheet(), open_sheet()).mesh
+        model = bake(make_open_mesh(), make_open_mesh()).mesh
     for name, compress in (("plain", "none"), ("packed", "meshopt"), ("again", "meshopt")):
         lod.write_tiles(hierarchy, tmp_path / name, texture=model, compress=compress)
     files = sorted((tmp_path / "plain" / "tiles").iterdir())
@@ -637,13 +629,13 @@ def test_packed_tiles_hold_the_same(hierarchies: dict[str, Hierarchy], tmp_path:
     run_node(UNPACK, PAGE, tmp_path / "packed" / "tiles")
     pairs = zip(read_tiles(tmp_path / "plain").all(), read_tiles(tmp_path / "packed").all(), strict=True)
     for plain, packed_tile in pairs:
-        assert corners(packed_tile) == corners(plain)
+        assert list_corner_values(packed_tile) == list_corner_values(plain)
         assert packed_tile.image == plain.image
         assert packed_tile.gltf["nodes"] == plain.gltf["nodes"]
     assert not any(run_node(VALIDATE, PAGE, tmp_path / "packed" / "tiles").values())
 
 
-def test_packed_tiles_are_smaller(tmp_path: Path) -> None:
+def test_compressed_tiles_are_smaller(tmp_path: Path) -> None:
     hierarchy = lod.build(sheet(60), cell_triangles=2000, root_triangles=1000, ratio=4.0, threads=1)
     plain, packed = (
         lod.write_tiles(hierarchy, tmp_path / name, compress=name) for name in ("none", "meshopt")
@@ -652,7 +644,7 @@ def test_packed_tiles_are_smaller(tmp_path: Path) -> None:
     assert (packed.triangles == plain.triangles).all()
 
 
-def test_buffers_that_cannot_be_packed_are_errors() -> None:
+def test_buffers_that_cannot_be_encoded_are_errors() -> None:
     for rows in (np.zeros((5, 6), np.uint8), np.zeros((5, 0), np.uint8), np.zeros((5, 260), np.uint8)):
         with pytest.raises(ValueError, match="it must have a multiple of 4 up to 256"):
             _kernels.encode_rows(rows)
@@ -667,7 +659,7 @@ def test_buffers_that_cannot_be_packed_are_errors() -> None:
 
 
 @pytest.mark.parametrize("size", [1e300, 1.7e308, float("inf")])
-def test_a_step_for_any_size_is_a_number(size: float) -> None:
+def test_the_grid_step_is_finite_for_any_size(size: float) -> None:
     from scanloom.stages.lod.position_grid import _choose_step
 
     assert _choose_step(size, 1) >= size

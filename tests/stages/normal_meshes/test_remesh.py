@@ -1,4 +1,4 @@
-"""What remesh promises: levels on the surface, their topology, offsets, and when it stops."""
+"""Promises of remesh: levels on the surface, their topology, offsets, and stopping criteria."""
 
 from __future__ import annotations
 
@@ -37,8 +37,10 @@ pytestmark = pytest.mark.slow
 made = pytest.mark.parametrize("make", MESHES.values(), ids=MESHES)
 
 
-def on_segments(points: NDArray[np.float64], a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
-    """Return how far the farthest point is from the nearest of the segments from a to b."""
+def measure_distance_to_segments(
+    points: NDArray[np.float64], a: NDArray[np.float64], b: NDArray[np.float64]
+) -> float:
+    """Measure the maximum distance of points to the segments from a to b."""
     along = b - a
     share = np.einsum("pex,ex->pe", points[:, None] - a, along) / np.einsum("ex,ex->e", along, along)
     foot = a + share.clip(0, 1)[..., None] * along
@@ -50,13 +52,13 @@ def on_segments(points: NDArray[np.float64], a: NDArray[np.float64], b: NDArray[
 
 @made
 @pytest.mark.parametrize("scheme", ["linear", "butterfly"])
-def test_every_level_lies_on_the_surface_and_is_sound(make: Callable[[], Mesh], scheme: str) -> None:
+def test_every_level_is_on_the_surface_and_sound(make: Callable[[], Mesh], scheme: str) -> None:
     mesh, found = remesh_cached(make, scheme)
     assert_valid_normal_mesh(found, mesh)
 
 
 @made
-def test_a_level_is_the_one_before_and_a_vertex_on_each_of_its_edges(make: Callable[[], Mesh]) -> None:
+def test_a_level_adds_a_vertex_for_each_edge_of_the_previous_level(make: Callable[[], Mesh]) -> None:
     _, found = remesh_cached(make)
     assert len(found.levels) == 3
     for coarse, fine, offsets in zip(found.levels[:-1], found.levels[1:], found.offsets, strict=True):
@@ -66,14 +68,14 @@ def test_a_level_is_the_one_before_and_a_vertex_on_each_of_its_edges(make: Calla
         assert len(fine.vertices) == count + len(edges.ends) == count + len(offsets.kinds)
         np.testing.assert_array_equal(fine.vertices[:count], coarse.vertices)
         np.testing.assert_array_equal(fine.colors[:count], coarse.colors)
-        # The triangle in the middle of each coarse one has the middles of its sides.
+        # The central triangle of each coarse one connects the midpoints of its sides.
         new = np.sort(fine.triangles[(fine.triangles >= count).all(axis=1)], axis=1)
         assert len(new) == len(coarse.triangles)
         np.testing.assert_array_equal(np.unique(new), count + np.arange(len(edges.ends)))
 
 
 @made
-def test_the_base_has_vertices_of_the_input(make: Callable[[], Mesh]) -> None:
+def test_base_vertices_are_vertices_of_the_input(make: Callable[[], Mesh]) -> None:
     mesh, found = remesh_cached(make)
     assert len(np.unique(found.base_source)) == len(found.base.vertices)
     apart = np.abs(found.base.vertices - mesh.vertices[found.base_source])
@@ -81,28 +83,28 @@ def test_the_base_has_vertices_of_the_input(make: Callable[[], Mesh]) -> None:
     assert len(found.base.triangles) <= 1.5 * SMALL_PARAMETERS["base_triangles"]
 
 
-def test_by_default_the_result_is_about_as_large_as_the_input() -> None:
+def test_the_default_size_is_about_the_size_of_the_input() -> None:
     mesh = coloured_meshes.ring()
     found = remesh(mesh, levels=2)
     assert 0.7 * len(mesh.triangles) <= len(found.mesh.triangles) <= 1.5 * len(mesh.triangles)
 
 
-def rough(scale: float) -> Mesh:
-    """Return a sheet with holes and noise."""
+def make_rough_sheet(scale: float) -> Mesh:
+    """Make a sheet with holes and noise."""
     mesh = coloured_meshes.make_holed_sheet()
     noise = np.random.default_rng(0).normal(scale=scale, size=mesh.vertices.shape)
     return mesh.with_(vertices=mesh.vertices + noise)
 
 
-def test_the_rougher_the_input_the_fewer_levels_it_gets() -> None:
-    found = [remesh(rough(scale)) for scale in (0.0, 0.003, 0.01)]
+def test_rougher_inputs_get_fewer_levels() -> None:
+    found = [remesh(make_rough_sheet(scale)) for scale in (0.0, 0.003, 0.01)]
     assert [len(one.offsets) for one in found] == [3, 2, 1]
     for one in found:
-        assert 0.5 < len(one.mesh.triangles) / len(rough(0).triangles) < 2
+        assert 0.5 < len(one.mesh.triangles) / len(make_rough_sheet(0).triangles) < 2
 
 
-def test_a_base_of_a_given_size_is_made_where_the_default_stops_before() -> None:
-    mesh = rough(0.006)
+def test_a_given_base_size_is_reached_where_the_default_stops_earlier() -> None:
+    mesh = make_rough_sheet(0.006)
     wanted = round(len(mesh.triangles) / 64)
     assert len(remesh(mesh, levels=3, base_triangles=wanted).base.triangles) <= wanted
     by_default = remesh(mesh, levels=3)
@@ -110,7 +112,7 @@ def test_a_base_of_a_given_size_is_made_where_the_default_stops_before() -> None
     assert any(f"not {wanted:,}" in str(one) for one in by_default.diagnostics)
 
 
-def test_no_level_is_the_base_alone() -> None:
+def test_zero_levels_give_only_the_base() -> None:
     found = remesh(coloured_meshes.ball(), levels=0, base_triangles=100)
     assert len(found.levels) == 1
     assert found.offsets == ()
@@ -118,13 +120,13 @@ def test_no_level_is_the_base_alone() -> None:
     assert len(found.mesh.triangles) <= 100
 
 
-def test_a_base_that_stays_alone_is_nearer_than_its_simplified_mesh_on_a_grid() -> None:
+def test_a_base_without_levels_is_closer_than_the_rounded_simplified_mesh() -> None:
     mesh = coloured_meshes.ring()
     found = remesh(mesh, levels=0, base_triangles=500, tolerance=4e-4)
     light = simplify(mesh, triangles=500).mesh
     assert len(found.mesh.triangles) == len(light.triangles)
     spacing = 2 * 4e-4 * compute_diagonal(light)
-    # The grid that the file has: positions are multiples of it.
+    # Positions in the file are multiples of this grid spacing.
     assert np.abs(found.mesh.vertices / spacing).max() < 1 / 4e-4
     rounded = Mesh(np.round(light.vertices / spacing) * spacing, light.triangles)
     exact, ours, nearest = (
@@ -133,7 +135,7 @@ def test_a_base_that_stays_alone_is_nearer_than_its_simplified_mesh_on_a_grid() 
     assert ours**2 - exact**2 < (nearest**2 - exact**2) / 4
     assert found.mesh.colors is not None
     assert found.folded_by_level == (0,)
-    # Sources are in terms of what was given.
+    # Source indices refer to the given mesh.
     assert np.linalg.norm(mesh.vertices[found.base_source] - found.mesh.vertices, axis=1).max() < 0.5
     assert np.array_equal(
         found.triangle_source[0], RaycastingSurface(mesh).find_closest_points(found.mesh.vertices).triangles
@@ -141,7 +143,7 @@ def test_a_base_that_stays_alone_is_nearer_than_its_simplified_mesh_on_a_grid() 
 
 
 @made
-def test_a_mesh_kept_as_it_is_stays_within_the_tolerance_and_no_triangle_turns(
+def test_an_unreduced_mesh_stays_within_the_tolerance_and_no_triangle_flips(
     make: Callable[[], Mesh],
 ) -> None:
     mesh = make()
@@ -154,13 +156,13 @@ def test_a_mesh_kept_as_it_is_stays_within_the_tolerance_and_no_triangle_turns(
     assert (before * compute_normals(found.mesh)).sum(axis=1).min() > 0
 
 
-def test_alone_a_file_is_the_same_on_any_number_of_threads() -> None:
+def test_a_base_file_does_not_depend_on_the_thread_count() -> None:
     mesh = coloured_meshes.make_holed_sheet()
     files = {remesh(mesh, levels=0, base_triangles=300, threads=threads).data for threads in (1, 2, 3)}
     assert len(files) == 1
 
 
-def test_more_levels_come_nearer() -> None:
+def test_more_levels_reduce_the_distance() -> None:
     mesh = coloured_meshes.ring()
     found = remesh(mesh, levels=3, base_triangles=120)
     rms = [compare(mesh, level, samples=20_000).symmetric.rms for level in found.levels]
@@ -168,17 +170,17 @@ def test_more_levels_come_nearer() -> None:
     assert rms[3] < 0.05 * rms[0]
 
 
-def test_triangles_stay_as_even_as_the_base_and_become_more_so() -> None:
+def test_angles_stay_close_to_those_of_the_base_and_improve() -> None:
     mesh = coloured_meshes.ball()
     levels = remesh(mesh, levels=3, base_triangles=80).levels
-    angles = [angles_of(level) for level in levels]
+    angles = [compute_angles(level) for level in levels]
     assert angles[-1].min() > angles[0].min() / 2
     quantiles = [np.quantile(these, 0.05) for these in angles]
     assert quantiles == sorted(quantiles)
     assert quantiles[-1] > 30
 
 
-def angles_of(level: Mesh) -> NDArray[np.float64]:
+def compute_angles(level: Mesh) -> NDArray[np.float64]:
     corners = level.vertices[level.triangles]
     sides = np.roll(corners, -1, axis=1) - corners
     sides /= np.linalg.norm(sides, axis=2, keepdims=True)
@@ -190,8 +192,8 @@ def angles_of(level: Mesh) -> NDArray[np.float64]:
 # -- folds -----------------------------------------------------------------------------------------------
 
 
-def crumpled_with_islands(scale: float, seed: int) -> Mesh:
-    """Return a noisy sheet with two holes, and three small islands above it and beside."""
+def make_crumpled_sheet_with_islands(scale: float, seed: int) -> Mesh:
+    """Make a noisy sheet with two holes, and three small islands above and next to it."""
     random, sheet = np.random.default_rng(seed), coloured_meshes.make_holed_sheet()
     parts = [sheet.vertices + random.normal(scale=scale, size=sheet.vertices.shape)]
     triangles = [sheet.triangles]
@@ -203,10 +205,10 @@ def crumpled_with_islands(scale: float, seed: int) -> Mesh:
     return Mesh(np.concatenate(parts), np.concatenate(triangles).astype(np.int32))
 
 
-def turned_at_levels(mesh: Mesh, found: NormalMesh) -> list[int]:
-    """Count, for each level, triangles that look away from the input's triangle next to their middle.
+def count_flipped_triangles(mesh: Mesh, found: NormalMesh) -> list[int]:
+    """Count for each level the triangles that are flipped relative to the nearest input triangle.
 
-    Unless that one is itself turned against the surface around it.
+    Input triangles that are flipped relative to their neighbours do not count.
     """
     surface, facing = RaycastingSurface(mesh), compute_normals(mesh)
     around = np.zeros_like(mesh.vertices)
@@ -223,26 +225,24 @@ def turned_at_levels(mesh: Mesh, found: NormalMesh) -> list[int]:
 
 @pytest.mark.parametrize("size", [{}, {"levels": 2, "base_triangles": 300}], ids=["default", "small"])
 @pytest.mark.parametrize(("scale", "seed"), [(0.003, 0), (0.003, 1), (0.006, 0), (0.006, 2), (0.006, 4)])
-def test_no_triangle_of_any_level_turns_over_on_a_crumpled_open_sheet_with_islands(
+def test_no_triangle_flips_on_a_crumpled_open_sheet_with_islands(
     scale: float, seed: int, size: dict[str, int]
 ) -> None:
-    mesh = crumpled_with_islands(scale, seed)
+    mesh = make_crumpled_sheet_with_islands(scale, seed)
     found = remesh(mesh, **size)
-    assert turned_at_levels(mesh, found) == [0] * len(found.levels)
+    assert count_flipped_triangles(mesh, found) == [0] * len(found.levels)
     assert sum(found.folded_by_level) == 0
     for level in found.levels:
         assert_same_topology(level, mesh)
 
 
 @pytest.mark.parametrize(("seed", "wanted"), [(10, 200), (11, 133)])
-def test_where_triangles_turn_over_all_the_same_the_base_keeps_more_of_the_input(
-    seed: int, wanted: int
-) -> None:
+def test_the_base_keeps_more_of_the_input_to_avoid_flipped_triangles(seed: int, wanted: int) -> None:
     sheet = coloured_meshes.sheet(20, noise=0.0)
     noise = np.random.default_rng(seed).normal(scale=0.02, size=sheet.vertices.shape)
     mesh = Mesh(sheet.vertices + noise, sheet.triangles)
     found = remesh(mesh, levels=2, base_triangles=wanted)
-    assert turned_at_levels(mesh, found) == [0, 0, 0]
+    assert count_flipped_triangles(mesh, found) == [0, 0, 0]
     assert found.folded_by_level == (0, 0, 0)
     assert_same_topology(found.mesh, mesh)
 
@@ -252,9 +252,7 @@ def test_where_triangles_turn_over_all_the_same_the_base_keeps_more_of_the_input
 
 @made
 @pytest.mark.parametrize("scheme", ["linear", "butterfly"])
-def test_scalars_lead_along_the_normal_and_vectors_are_as_long_as_they_have_to_be(
-    make: Callable[[], Mesh], scheme: str
-) -> None:
+def test_offsets_are_scalars_along_the_normal_or_vectors(make: Callable[[], Mesh], scheme: str) -> None:
     mesh, found = remesh_cached(make, scheme)
     for fine, offsets in zip(found.levels[1:], found.offsets, strict=True):
         at = fine.vertices[-len(offsets.kinds) :]
@@ -273,7 +271,7 @@ def test_scalars_lead_along_the_normal_and_vectors_are_as_long_as_they_have_to_b
 @pytest.mark.parametrize(
     "make", [coloured_meshes.sheet, coloured_meshes.make_holed_sheet], ids=["sheet", "holed"]
 )
-def test_a_boundary_stays_on_the_boundary(make: Callable[[], Mesh]) -> None:
+def test_boundary_vertices_stay_on_the_boundary(make: Callable[[], Mesh]) -> None:
     mesh, found = remesh_cached(make)
     edges = build_edges(mesh.triangles, len(mesh.vertices))
     rim = mesh.vertices[edges.ends[edges.triangle_count == 1]]
@@ -281,7 +279,7 @@ def test_a_boundary_stays_on_the_boundary(make: Callable[[], Mesh]) -> None:
         on_rim = build_edges(coarse.triangles, len(coarse.vertices)).triangle_count == 1
         new = fine.vertices[-len(offsets.kinds) :][offsets.kinds == BOUNDARY]
         assert len(new) == np.count_nonzero(on_rim) > 0
-        assert on_segments(new, rim[:, 0], rim[:, 1]) <= 1e-6 * compute_diagonal(mesh)
+        assert measure_distance_to_segments(new, rim[:, 0], rim[:, 1]) <= 1e-6 * compute_diagonal(mesh)
         fine_edges = build_edges(fine.triangles, len(fine.vertices))
         lengths = np.linalg.norm(
             np.diff(fine.vertices[fine_edges.ends[fine_edges.triangle_count == 1]], axis=1), axis=2
@@ -289,14 +287,14 @@ def test_a_boundary_stays_on_the_boundary(make: Callable[[], Mesh]) -> None:
         assert lengths.min() > 0
 
 
-def test_a_closed_smooth_shape_needs_scalars_alone() -> None:
+def test_a_smooth_closed_shape_needs_only_scalar_offsets() -> None:
     found = remesh(coloured_meshes.ball(), levels=3, base_triangles=80)
     kinds = np.concatenate([offsets.kinds for offsets in found.offsets])
     assert (kinds == SCALAR).mean() >= 0.99
     assert not (kinds == BOUNDARY).any()
 
 
-def test_butterfly_makes_offsets_smaller_on_smooth_shapes() -> None:
+def test_butterfly_reduces_offsets_on_smooth_shapes() -> None:
     mesh = coloured_meshes.ball()
     size = {}
     for scheme in ("linear", "butterfly"):
@@ -321,48 +319,53 @@ def test_a_coarse_tolerance_makes_a_small_file_and_is_kept() -> None:
 # -- the tolerance of the mesh itself -----------------------------------------------------------------------
 
 
-def noisy_ball(sigma: float) -> Mesh:
-    """Return a ball whose vertices are off it by so much, along its normals."""
+def make_noisy_ball(sigma: float) -> Mesh:
+    """Make a ball with noise of this standard deviation along its normals."""
     ball = coloured_meshes.ball()
     radii = 1 + sigma * np.random.default_rng(1).standard_normal((len(ball.vertices), 1))
     return ball.with_(vertices=radii * ball.vertices)
 
 
-def rms(mesh: Mesh, level: Mesh) -> float:
-    """Return the larger RMS distance of both directions, over the diagonal."""
+def measure_rms(mesh: Mesh, level: Mesh) -> float:
+    """Measure the larger RMS distance of both directions, relative to the diagonal."""
     found = compare(mesh, level, samples=50_000)
     return max(found.a_to_b.rms, found.b_to_a.rms) / found.diagonal
 
 
 @pytest.mark.parametrize(
     "make",
-    [coloured_meshes.ball, coloured_meshes.ring, coloured_meshes.make_holed_sheet, lambda: noisy_ball(1e-3)],
+    [
+        coloured_meshes.ball,
+        coloured_meshes.ring,
+        coloured_meshes.make_holed_sheet,
+        lambda: make_noisy_ball(1e-3),
+    ],
     ids=["ball", "ring", "holed", "noisy"],
 )
-def test_the_default_tolerance_makes_small_files_and_costs_next_to_nothing(make: Callable[[], Mesh]) -> None:
-    # Colours are not rounded by it.
+def test_the_default_tolerance_makes_small_files_with_hardly_more_error(make: Callable[[], Mesh]) -> None:
+    # The tolerance does not apply to colours.
     mesh = make().with_(colors=None)
     exact, default = remesh(mesh, tolerance=5e-8, **SMALL_PARAMETERS), remesh(mesh, **SMALL_PARAMETERS)
     assert default.tolerance is not None
     assert len(default.data) < 0.5 * len(exact.data)
-    before, after = rms(mesh, exact.mesh), rms(mesh, default.mesh)
+    before, after = measure_rms(mesh, exact.mesh), measure_rms(mesh, default.mesh)
     assert after <= 1.2 * before
     assert 0.1 * before < default.tolerance < 0.7 * before
     assert "distance between the finest level" in str(default.tolerance_source)
 
 
-def test_the_rougher_the_input_the_coarser_its_tolerance() -> None:
-    found = [remesh(noisy_ball(sigma), **SMALL_PARAMETERS).tolerance or 0 for sigma in (0.001, 0.016)]
+def test_rougher_inputs_get_a_coarser_tolerance() -> None:
+    found = [remesh(make_noisy_ball(sigma), **SMALL_PARAMETERS).tolerance or 0 for sigma in (0.001, 0.016)]
     assert found[1] >= 2 * found[0]
 
 
-def test_noise_does_not_hide_more_than_the_finest_level_is_off() -> None:
-    mesh = noisy_ball(0.01)
+def test_noise_does_not_raise_the_tolerance_of_an_unreduced_mesh() -> None:
+    mesh = make_noisy_ball(0.01)
     found = remesh(mesh, levels=0, base_triangles=len(mesh.triangles))
     assert found.tolerance == 5e-8
 
 
-def test_what_is_met_exactly_stays_exact() -> None:
+def test_a_mesh_that_is_reproduced_exactly_stays_exact() -> None:
     corners = np.array([(x, y, z) for x in (0, 1) for y in (0, 1) for z in (0, 1)], float)
     sides = [(0, 1, 3), (0, 3, 2), (4, 6, 7), (4, 7, 5), (0, 4, 5), (0, 5, 1), (2, 3, 7), (2, 7, 6)]
     cube = Mesh(corners, np.array([*sides, (0, 2, 6), (0, 6, 4), (1, 5, 7), (1, 7, 3)]))
@@ -371,7 +374,7 @@ def test_what_is_met_exactly_stays_exact() -> None:
     assert "32-bit floats" in str(found.tolerance_source)
 
 
-def test_with_an_error_allowed_it_stays_well_below_that() -> None:
+def test_the_tolerance_is_a_fraction_of_max_error() -> None:
     mesh = coloured_meshes.ring()
     found = remesh(mesh, levels=1, base_triangles=300, max_error=0.05)
     free = remesh(mesh, levels=1, base_triangles=300)
@@ -383,14 +386,14 @@ def test_with_an_error_allowed_it_stays_well_below_that() -> None:
     assert found.max_distances_m[-1] <= 0.05
 
 
-def test_a_tolerance_that_is_given_is_taken() -> None:
+def test_a_given_tolerance_is_used() -> None:
     found = remesh(coloured_meshes.ring(), tolerance=3e-4, **SMALL_PARAMETERS)
     assert (found.tolerance, found.tolerance_source) == (3e-4, "given")
     assert found.to_dict()["tolerance_m"] == pytest.approx(3e-4 * compute_diagonal(coloured_meshes.ring()))
     assert decode(found.data).tolerance is None
 
 
-def test_far_from_the_origin_the_default_is_as_exact() -> None:
+def test_the_default_tolerance_is_the_same_far_from_the_origin() -> None:
     mesh = coloured_meshes.ball()
     away = mesh.with_(vertices=mesh.vertices + 1e4)
     here, there = remesh(mesh, **SMALL_PARAMETERS), remesh(away, **SMALL_PARAMETERS)
@@ -403,7 +406,7 @@ def test_far_from_the_origin_the_default_is_as_exact() -> None:
 # -- how far ---------------------------------------------------------------------------------------------
 
 
-def test_it_stops_at_the_first_level_that_is_near_enough() -> None:
+def test_levels_stop_at_max_error() -> None:
     mesh = coloured_meshes.ring()
     whole = remesh(mesh, levels=4, base_triangles=120, max_error=1e-9)
     assert len(whole.levels) == 5
@@ -424,7 +427,7 @@ def test_it_stops_at_the_first_level_that_is_near_enough() -> None:
         np.testing.assert_array_equal(level.vertices, back.vertices)
 
 
-def test_a_base_within_an_error() -> None:
+def test_base_error_bounds_the_base() -> None:
     mesh = coloured_meshes.ring()
     sizes = []
     for error in (0.005, 0.02, 0.1):
@@ -436,7 +439,7 @@ def test_a_base_within_an_error() -> None:
     assert sizes[0] - 2 <= len(both.base.triangles) <= sizes[0]
 
 
-def test_a_base_that_cannot_get_small_enough_is_told() -> None:
+def test_a_base_above_the_requested_size_is_reported() -> None:
     balls = [coloured_meshes.ball() for _ in range(12)]
     vertices = np.concatenate([ball.vertices + np.array((3 * i, 0, 0)) for i, ball in enumerate(balls)])
     triangles = np.concatenate([ball.triangles + 2562 * i for i, ball in enumerate(balls)])
@@ -446,7 +449,7 @@ def test_a_base_that_cannot_get_small_enough_is_told() -> None:
     assert topology(found.mesh).components == 12
 
 
-# Triangles of a real mesh: more take longer, and have nothing that these have not.
+# Maximum triangle count of a real mesh in the tests; more triangles take longer and test nothing new.
 MANY = 15_000
 
 # -- real meshes -----------------------------------------------------------------------------------------
@@ -465,14 +468,14 @@ MANY = 15_000
         "sceaux_mvs_scene_mesh.ply",
     ],
 )
-def test_real_meshes_are_met_at_every_level(shared_data: Path, name: str) -> None:
+def test_every_level_of_real_meshes_is_on_the_surface(shared_data: Path, name: str) -> None:
     mesh = read_mesh(shared_data / "meshes" / name)
     if len(mesh.triangles) > MANY:
         mesh = simplify(mesh, triangles=MANY).mesh
-    # Of the cow, a coarser base than the paper's leaves out the horns.
+    # For the cow, the default base is coarser than in the paper and omits the horns.
     size = {"levels": 2, "base_triangles": 426} if name == "cow.obj" else {"levels": 3}
     found = remesh(mesh, tolerance=5e-8, **size)
-    assert turned_at_levels(mesh, found) == [0] * len(found.levels)
+    assert count_flipped_triangles(mesh, found) == [0] * len(found.levels)
     expected = clean(mesh).mesh if topology(mesh).nonmanifold_vertices else mesh
     surface = RaycastingSurface(mesh)
     for level in found.levels:
@@ -483,7 +486,7 @@ def test_real_meshes_are_met_at_every_level(shared_data: Path, name: str) -> Non
     assert found.to_dict()["exception_ratio"] < 0.03
 
 
-def test_the_cow_of_the_paper(shared_data: Path) -> None:
+def test_the_cow_has_the_sizes_of_the_paper(shared_data: Path) -> None:
     mesh = read_mesh(shared_data / "meshes" / "cow.obj")
     found = remesh(mesh, levels=2, base_triangles=426, tolerance=5e-8)
     assert [len(level.triangles) for level in found.levels] == [426, 1704, 6816]
@@ -494,8 +497,8 @@ def test_the_cow_of_the_paper(shared_data: Path) -> None:
     )
 
 
-def test_a_scanned_room_after_simplification(shared_data: Path) -> None:
-    """The pipeline's case: hundreds of pieces and holes, colours."""
+def test_a_scanned_room_is_remeshed_after_simplification(shared_data: Path) -> None:
+    """A mesh as in the pipeline: hundreds of components and holes, with colours."""
     scan = clean(select_quarter(read_mesh(shared_data / "meshes" / "redkitchen_fused_vertexcolor.ply"))).mesh
     mesh = simplify(scan, ratio=0.2).mesh
     found = remesh(mesh, levels=2, tolerance=5e-8)

@@ -1,4 +1,4 @@
-"""What remesh takes, what it carries along, and what it refuses."""
+"""Inputs of remesh: accepted meshes, transferred attributes, and refused input."""
 
 from __future__ import annotations
 
@@ -33,49 +33,49 @@ pytestmark = pytest.mark.slow
 made = pytest.mark.parametrize("make", MESHES.values(), ids=MESHES)
 
 
-# -- what is carried along -------------------------------------------------------------------------------
+# -- transferred attributes -------------------------------------------------------------------------------
 
 
 @made
 @pytest.mark.parametrize("tolerance", [0.0, 2.0, 8.0])
-def test_colours_are_those_of_the_surface(make: Callable[[], Mesh], tolerance: float) -> None:
+def test_colours_are_interpolated_on_the_surface(make: Callable[[], Mesh], tolerance: float) -> None:
     mesh = make()
     found = remesh(mesh, color_tolerance=tolerance, **EXACT_PARAMETERS)
     for level in found.levels:
         there = interpolate_values(
             mesh.colors, mesh, RaycastingSurface(mesh).find_closest_points(level.vertices)
         )
-        # Half a level for whole numbers, and a little for which of two triangles a point at an edge is on.
+        # Half a level for rounding, and 0.1 for points at an edge, which may get either triangle.
         assert np.abs(level.colors - there).max() <= tolerance + 0.6
 
 
-def test_a_mesh_without_colours_has_none() -> None:
+def test_a_mesh_without_colours_gets_none() -> None:
     mesh = coloured_meshes.ball().with_(colors=None)
     assert all(level.colors is None for level in remesh(mesh, **EXACT_PARAMETERS).levels)
 
 
 @made
-def test_confidence_is_carried_with_eight_bits(make: Callable[[], Mesh]) -> None:
+def test_confidence_is_stored_in_eight_bits(make: Callable[[], Mesh]) -> None:
     mesh = make()
     confidence = 3 - 2 * mesh.vertices[:, 0] + mesh.vertices[:, 1]
     found = remesh(mesh, confidence=confidence, **EXACT_PARAMETERS)
     assert found.confidence is not None
     for level, carried in zip(found.levels, found.confidence, strict=True):
         assert carried.shape == (len(level.vertices),)
-        # Linear in space, so it is what the place says, wherever the hit is.
+        # Confidence is linear in space, so its value follows from the position alone.
         there = 3 - 2 * level.vertices[:, 0] + level.vertices[:, 1]
         assert np.abs(carried - there).max() <= 0.51 * np.ptp(confidence) / 255
     assert remesh_cached(make)[1].confidence is None
 
 
-def test_confidence_that_is_the_same_everywhere_stays_so() -> None:
+def test_constant_confidence_is_kept() -> None:
     mesh = coloured_meshes.ball()
     found = remesh(mesh, confidence=np.full(len(mesh.vertices), 0.75), **EXACT_PARAMETERS)
     for carried in found.confidence:
         np.testing.assert_allclose(carried, 0.75, atol=1e-6)
 
 
-def test_what_is_not_carried_is_told() -> None:
+def test_dropped_attributes_are_reported() -> None:
     mesh = coloured_meshes.ball()
     uvs = np.zeros((len(mesh.triangles), 3, 2))
     read = MESH_LEFT_OUT.warning("read from a file", "a.ply")
@@ -96,7 +96,7 @@ def test_what_is_not_carried_is_told() -> None:
 
 
 @made
-def test_each_vertex_lies_on_the_triangle_it_names(make: Callable[[], Mesh]) -> None:
+def test_each_vertex_is_on_its_source_triangle(make: Callable[[], Mesh]) -> None:
     mesh, found = remesh_cached(make)
     assert found.triangle_source is not None
     for level, source in zip(found.levels, found.triangle_source, strict=True):
@@ -105,10 +105,10 @@ def test_each_vertex_lies_on_the_triangle_it_names(make: Callable[[], Mesh]) -> 
         assert np.linalg.norm(level.vertices - foot, axis=1).max() <= 1e-6 * compute_diagonal(mesh)
 
 
-# -- what comes in ---------------------------------------------------------------------------------------
+# -- accepted meshes --------------------------------------------------------------------------------------
 
 
-def two_balls_that_touch() -> Mesh:
+def make_touching_balls() -> Mesh:
     ball = coloured_meshes.ball()
     highest, lowest = ball.vertices[:, 2].argmax(), ball.vertices[:, 2].argmin()
     count = len(ball.vertices)
@@ -122,8 +122,8 @@ def two_balls_that_touch() -> Mesh:
     )
 
 
-def test_pinched_vertices_are_split_and_the_input_is_still_named() -> None:
-    mesh = two_balls_that_touch()
+def test_pinched_vertices_are_split_and_sources_refer_to_the_input() -> None:
+    mesh = make_touching_balls()
     assert topology(mesh).nonmanifold_vertices == 1
     found = remesh(mesh, confidence=mesh.vertices[:, 2], levels=2, base_triangles=160, tolerance=5e-8)
     assert any("1 pinched vertex was split" in str(diagnostic) for diagnostic in found.diagnostics)
@@ -138,7 +138,7 @@ def test_pinched_vertices_are_split_and_the_input_is_still_named() -> None:
     assert np.abs(found.confidence[-1] - there).max() <= 0.01 * np.ptp(there)
 
 
-def test_what_is_no_surface_is_left_out() -> None:
+def test_loose_vertices_and_degenerate_triangles_are_dropped() -> None:
     mesh = coloured_meshes.ball()
     count = len(mesh.vertices)
     extra = np.array([[5, 5, 7], [count, count + 1, count]], np.int32)
@@ -153,21 +153,21 @@ def test_what_is_no_surface_is_left_out() -> None:
     np.testing.assert_array_equal(found.triangle_source[-1], plain.triangle_source[-1] + 2)
 
 
-def test_other_libraries_meshes() -> None:
+def test_meshes_of_other_libraries_are_accepted() -> None:
     shape = trimesh.creation.icosphere(subdivisions=3)
     pair = (np.array(shape.vertices), np.array(shape.faces))
     assert remesh(shape, levels=1).data == remesh(pair, levels=1).data
 
 
 def test_the_input_is_not_changed() -> None:
-    mesh = two_balls_that_touch()
+    mesh = make_touching_balls()
     copy = Mesh(mesh.vertices.copy(), mesh.triangles.copy(), colors=mesh.colors.copy())
     remesh(mesh, **EXACT_PARAMETERS)
     for name in ("vertices", "triangles", "colors"):
         np.testing.assert_array_equal(getattr(mesh, name), getattr(copy, name))
 
 
-def test_equal_input_gives_equal_bytes_on_any_number_of_threads() -> None:
+def test_the_bytes_do_not_depend_on_the_thread_count() -> None:
     mesh = coloured_meshes.make_holed_sheet()
     one, two, again = (remesh(mesh, threads=threads, **SMALL_PARAMETERS) for threads in (1, 2, 2))
     assert one.data == two.data == again.data
@@ -175,22 +175,22 @@ def test_equal_input_gives_equal_bytes_on_any_number_of_threads() -> None:
 
 
 @pytest.mark.parametrize("exponent", [-20, 20])
-def test_the_size_of_the_mesh_does_not_matter(exponent: int) -> None:
+def test_the_scale_of_the_mesh_does_not_matter(exponent: int) -> None:
     mesh, here = remesh_cached(coloured_meshes.ring)
-    factor = 2.0**exponent  # a millionth and a million times as large
+    factor = 2.0**exponent  # about a millionth and a million
     other = remesh(mesh.with_(vertices=mesh.vertices * factor), **EXACT_PARAMETERS)
     np.testing.assert_array_equal(other.mesh.triangles, here.mesh.triangles)
     np.testing.assert_allclose(other.mesh.vertices / factor, here.mesh.vertices, atol=1e-6)
 
 
-def test_a_mesh_in_map_coordinates() -> None:
+def test_a_mesh_in_map_coordinates_is_remeshed() -> None:
     mesh = coloured_meshes.make_holed_sheet()
     far = mesh.with_(vertices=mesh.vertices + np.array((512_000, 5_400_000, 300)))
     found = remesh(far, **EXACT_PARAMETERS)
     assert_valid_normal_mesh(found, far)
 
 
-def test_a_cube_is_met_to_float_precision() -> None:
+def test_a_cube_is_reproduced_to_float_precision() -> None:
     shape = trimesh.creation.box()
     for _ in range(3):
         shape = shape.subdivide()
@@ -204,7 +204,7 @@ def test_a_cube_is_met_to_float_precision() -> None:
 # -- progress and errors ---------------------------------------------------------------------------------
 
 
-def test_progress_is_told_and_may_stop_the_work() -> None:
+def test_progress_is_reported_and_can_stop_remesh() -> None:
     mesh = coloured_meshes.sheet(120)
     seen: list[tuple[int, int]] = []
     remesh(mesh, progress=lambda done, total: seen.append((done, total)))
@@ -218,7 +218,7 @@ def test_progress_is_told_and_may_stop_the_work() -> None:
         remesh(mesh, progress=stop)
 
 
-def test_a_mesh_that_is_no_manifold_is_split_into_sheets() -> None:
+def test_a_non_manifold_mesh_is_split_into_sheets() -> None:
     mesh = coloured_meshes.sheet(10)
     fin = mesh.with_(triangles=np.concatenate([mesh.triangles, [[12, 13, 0]]]).astype(np.int32))
     turned = mesh.triangles.copy()
@@ -231,8 +231,8 @@ def test_a_mesh_that_is_no_manifold_is_split_into_sheets() -> None:
     assert len(remesh(clean(fin).mesh, levels=1).mesh.triangles) > 0
 
 
-def test_pinched_vertices_and_a_fin_at_once() -> None:
-    mesh = two_balls_that_touch()
+def test_pinched_vertices_with_a_fin_are_split() -> None:
+    mesh = make_touching_balls()
     fin = np.concatenate([mesh.triangles, [[*mesh.triangles[40, :2], 9]]]).astype(np.int32)
     assert topology(remesh(mesh.with_(triangles=fin)).mesh).is_manifold
 
@@ -248,7 +248,7 @@ HUGE = Mesh(1e200 * np.eye(3), np.array([[0, 1, 2]], np.int32))
     [(EMPTY, "no triangles"), (POINTS, "zero area"), (LINE, "zero area"), (HUGE, "too large")],
     ids=["empty", "repeating", "line", "huge"],
 )
-def test_no_surface_is_one_sentence(mesh: Mesh, words: str) -> None:
+def test_a_mesh_without_surface_is_one_error(mesh: Mesh, words: str) -> None:
     with pytest.raises(MeshError, match=words):
         remesh(mesh)
 
@@ -256,7 +256,7 @@ def test_no_surface_is_one_sentence(mesh: Mesh, words: str) -> None:
 @pytest.mark.parametrize(
     "confidence", [np.zeros(3), np.zeros((2562, 2)), np.full(2562, np.nan), np.full(2562, "high")]
 )
-def test_confidence_must_be_a_number_a_vertex(confidence: NDArray[np.float64]) -> None:
+def test_confidence_must_be_one_finite_number_per_vertex(confidence: NDArray[np.float64]) -> None:
     with pytest.raises(MeshError, match=r"confidence is .* 2562 vertices is expected"):
         remesh(coloured_meshes.ball(), confidence=confidence)
 
@@ -273,13 +273,13 @@ def test_confidence_must_be_a_number_a_vertex(confidence: NDArray[np.float64]) -
         ({"bases": 3}, "unknown parameter 'bases'"),
     ],
 )
-def test_parameters_out_of_range(changes: dict[str, object], words: str) -> None:
+def test_parameters_out_of_range_are_refused(changes: dict[str, object], words: str) -> None:
     with pytest.raises(UsageError, match=words):
         remesh(coloured_meshes.ball(), **changes)
 
 
 @pytest.mark.parametrize("count", [1, 2, 3])
-def test_meshes_of_a_few_triangles(count: int) -> None:
+def test_meshes_of_a_few_triangles_are_remeshed(count: int) -> None:
     fan = np.array([[0, 0, 0], [1, 0, 0], [0.8, 0.6, 0.1], [0, 1, 0.2], [-0.8, 0.6, 0]])
     triangles = np.array([[0, 1, 2], [0, 2, 3], [0, 3, 4]], np.int32)[:count]
     mesh = Mesh(fan, triangles)
@@ -305,7 +305,7 @@ def test_metrics_are_plain_numbers() -> None:
 
 
 @pytest.mark.parametrize("far", [1e7, 1e9, 1e15])
-def test_a_stray_vertex_beside_which_the_rest_is_a_point_is_told(far: float) -> None:
+def test_a_distant_stray_vertex_is_reported(far: float) -> None:
     mesh = coloured_meshes.ball()
     vertices = mesh.vertices.copy()
     vertices[7] = [far, 0, 0]
@@ -313,7 +313,7 @@ def test_a_stray_vertex_beside_which_the_rest_is_a_point_is_told(far: float) -> 
         remesh(Mesh(vertices, mesh.triangles))
 
 
-def test_alone_a_mesh_that_is_no_manifold_is_split_too() -> None:
+def test_a_base_of_a_non_manifold_mesh_is_split() -> None:
     ball = coloured_meshes.ball()
     far = ball.vertices + np.array([2 * np.ptp(ball.vertices[:, 0]), 0, 0])
     first, second = np.argmax(ball.vertices[:, 0]), np.argmin(far[:, 0])

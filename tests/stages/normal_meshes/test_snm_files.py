@@ -1,4 +1,4 @@
-"""Files of normal meshes: the same bits again, coarser ones from their beginnings, all kinds of damage."""
+"""SNM files: lossless round trips, coarser meshes from prefixes, and all kinds of damage."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ SHARED = (
 
 
 def assert_equal(found: NormalMesh, expected: NormalMesh, levels: int) -> None:
-    """The first so many levels are the same to the bit, and there are no more."""
+    """Check that the first levels are identical, and that there are no more."""
     assert len(found.levels) == levels
     for one, other in zip(found.levels, expected.levels, strict=False):
         assert one.vertices.tobytes() == other.vertices.tobytes()
@@ -72,20 +72,20 @@ def assert_equal(found: NormalMesh, expected: NormalMesh, levels: int) -> None:
 
 
 @functools.cache
-def small() -> NormalMesh:
-    """A coloured sheet with two holes, confidence, and three levels, in a file of a few kilobytes."""
+def make_small_mesh() -> NormalMesh:
+    """Make a coloured sheet with two holes, confidence and three levels, in a file of a few kilobytes."""
     mesh = coloured_meshes.make_holed_sheet()
     return remesh(
         mesh, confidence=mesh.vertices[:, 0], levels=2, base_triangles=60, tolerance=1e-4, color_tolerance=4.0
     )
 
 
-# -- the same again --------------------------------------------------------------------------------------
+# -- round trips -----------------------------------------------------------------------------------------
 
 
 @st.composite
-def random_meshes(draw: st.DrawFn) -> Mesh:
-    """Draw sheets, tubes, rings and spheres with random bumps, colours and holes, of one piece or several."""
+def draw_meshes(draw: st.DrawFn) -> Mesh:
+    """Draw sheets, tubes, rings and pairs of sheets with random bumps, colours and holes."""
     kind = draw(st.sampled_from(["sheet", "tube", "ring", "several"]))
     n, m = draw(st.integers(3, 14)), draw(st.integers(3, 14))
     rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
@@ -117,7 +117,7 @@ def random_meshes(draw: st.DrawFn) -> Mesh:
 
 
 @given(
-    mesh=random_meshes(),
+    mesh=draw_meshes(),
     levels=st.integers(0, 3),
     base=st.sampled_from([None, 1, 30]),
     scheme=st.sampled_from(["linear", "butterfly"]),
@@ -127,7 +127,7 @@ def random_meshes(draw: st.DrawFn) -> Mesh:
     with_confidence=st.booleans(),
 )
 @settings(max_examples=60, deadline=None)
-def test_what_is_decoded_is_what_was_made(
+def test_a_normal_mesh_is_decoded_as_made(
     mesh: Mesh,
     levels: int,
     base: int | None,
@@ -159,7 +159,7 @@ def test_what_is_decoded_is_what_was_made(
     assert decoded.triangle_source is None
 
 
-def digests(found: NormalMesh) -> list[str]:
+def compute_digests(found: NormalMesh) -> list[str]:
     return [
         hashlib.sha256(
             level.vertices.tobytes()
@@ -184,7 +184,7 @@ print(json.dumps([
 
 
 @pytest.mark.parametrize("name", SHARED)
-def test_shared_meshes_come_back_to_the_bit_in_another_process(
+def test_shared_meshes_are_decoded_exactly_in_another_process(
     shared_data: Path, tmp_path: Path, name: str
 ) -> None:
     path = shared_data / "meshes" / name
@@ -196,7 +196,7 @@ def test_shared_meshes_come_back_to_the_bit_in_another_process(
     if topology(mesh).inconsistent_edges or topology(mesh).nonmanifold_edges:
         mesh = clean(mesh).mesh
     if len(mesh.triangles) > MANY:
-        # It is the coder that is looked at, and not how long a base takes.
+        # The test covers the coder, so the base may be small.
         mesh = simplify(mesh, triangles=MANY).mesh
     made = remesh(mesh, levels=3)
     file = tmp_path / "made.snm"
@@ -204,16 +204,16 @@ def test_shared_meshes_come_back_to_the_bit_in_another_process(
     done = subprocess.run(
         [sys.executable, "-c", DECODE_IN_ANOTHER, file], capture_output=True, text=True, check=True
     )
-    assert json.loads(done.stdout) == digests(made)
+    assert json.loads(done.stdout) == compute_digests(made)
     for level in range(4):
         assert_equal(decode(file, level), made, level + 1)
 
 
-# -- beginnings of files ---------------------------------------------------------------------------------
+# -- prefixes --------------------------------------------------------------------------------------------
 
 
-def test_the_beginning_of_a_file_is_a_coarser_mesh(tmp_path: Path) -> None:
-    made = small()
+def test_a_prefix_of_a_file_is_a_coarser_mesh(tmp_path: Path) -> None:
+    made = make_small_mesh()
     for level in range(3):
         path = tmp_path / f"{level}.snm"
         made.save(path, level)
@@ -225,8 +225,8 @@ def test_the_beginning_of_a_file_is_a_coarser_mesh(tmp_path: Path) -> None:
     assert path.read_bytes() == made.data
 
 
-def test_a_file_cut_anywhere_gives_the_levels_that_are_whole() -> None:
-    made = small()
+def test_a_truncated_file_gives_its_intact_levels() -> None:
+    made = make_small_mesh()
     for size in range(len(made.data)):
         whole = sum(end <= size for end in made.level_ends)
         if whole == 0:
@@ -238,8 +238,8 @@ def test_a_file_cut_anywhere_gives_the_levels_that_are_whole() -> None:
         assert (found.damage is None) == (size in made.level_ends)
 
 
-def test_levels_that_are_not_there() -> None:
-    made = small()
+def test_missing_levels_are_reported() -> None:
+    made = make_small_mesh()
     with pytest.raises(UsageError, match="level is 3, but data was encoded with levels 0 to 2"):
         decode(made.data, 3)
     with pytest.raises(UsageError, match="level is -1"):
@@ -257,9 +257,9 @@ def test_levels_that_are_not_there() -> None:
 # -- damage ----------------------------------------------------------------------------------------------
 
 
-def test_any_byte_that_is_changed_is_noticed() -> None:
-    """What is returned all the same was not touched by it."""
-    made = small()
+def test_any_changed_byte_is_detected() -> None:
+    """The returned levels do not contain the changed byte."""
+    made = make_small_mesh()
     for at in range(len(made.data)):
         for mask in (0x01, 0x80, 0xFF):
             data = bytearray(made.data)
@@ -277,8 +277,8 @@ def test_any_byte_that_is_changed_is_noticed() -> None:
 
 @given(data=st.data())
 @settings(max_examples=300, deadline=None)
-def test_bytes_that_are_changed_added_or_lost_never_crash(data: st.DataObject) -> None:
-    made = small().data
+def test_changed_added_or_lost_bytes_never_crash(data: st.DataObject) -> None:
+    made = make_small_mesh().data
     damaged = bytearray(made)
     for _ in range(data.draw(st.integers(1, 4))):
         at = data.draw(st.integers(0, max(len(damaged) - 1, 0)))
@@ -303,9 +303,9 @@ def test_bytes_that_are_changed_added_or_lost_never_crash(data: st.DataObject) -
 
 @given(start=st.binary(max_size=64), keep=st.integers(0, 12))
 @settings(max_examples=300, deadline=None)
-def test_noise_is_no_file(start: bytes, keep: int) -> None:
+def test_random_bytes_are_not_a_file(start: bytes, keep: int) -> None:
     try:
-        found = decode(small().data[:keep] + start)
+        found = decode(make_small_mesh().data[:keep] + start)
     except InputError:
         return
     assert len(found.mesh.vertices) < 1000
@@ -330,9 +330,9 @@ print("alive")
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="reads the size of the process from /proc")
-def test_a_damaged_file_costs_no_memory(tmp_path: Path) -> None:
-    """With 256 MB to spare nothing is asked for that the few bytes of the file cannot mean."""
-    small().save(tmp_path / "small.snm")
+def test_a_damaged_file_allocates_little_memory(tmp_path: Path) -> None:
+    """Decoding needs at most 256 MB, whatever sizes the damaged file states."""
+    make_small_mesh().save(tmp_path / "small.snm")
     done = subprocess.run(
         [sys.executable, "-c", DECODE_ALL_DAMAGED, tmp_path / "small.snm"],
         capture_output=True,
@@ -343,7 +343,7 @@ def test_a_damaged_file_costs_no_memory(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("data", [b"", b"ply\n", b"\x00" * 100, b"PK\x03\x04" + bytes(60)])
-def test_other_files_are_told_apart(tmp_path: Path, data: bytes) -> None:
+def test_other_files_are_refused(tmp_path: Path, data: bytes) -> None:
     path = tmp_path / "other.snm"
     path.write_bytes(data)
     with pytest.raises(InputError, match=r"other\.snm: .*\.$"):
@@ -351,8 +351,8 @@ def test_other_files_are_told_apart(tmp_path: Path, data: bytes) -> None:
 
 
 @pytest.mark.parametrize(("version", "words"), [(0, "version 0 of"), (2, "damaged"), (3, "version 3 of")])
-def test_another_version_is_told(version: int, words: str) -> None:
-    made = bytearray(small().data)
+def test_other_versions_are_refused(version: int, words: str) -> None:
+    made = bytearray(make_small_mesh().data)
     assert made[3] == 1
     made[3] = version
     with pytest.raises(InputError, match=words):
@@ -362,8 +362,8 @@ def test_another_version_is_told(version: int, words: str) -> None:
 @pytest.mark.parametrize(
     "up", [(0.0, -1.0, 0.0), (0.0, 0.0, 1.0), (0.004913, -0.8944, -0.4472), (3.0, 4.0, 0.0)]
 )
-def test_what_is_up_comes_back_to_the_bit_on_every_level(up: tuple[float, float, float]) -> None:
-    plain, up = small(), tuple(np.divide(up, np.linalg.norm(up)).tolist())
+def test_the_up_direction_is_stored_exactly_for_every_level(up: tuple[float, float, float]) -> None:
+    plain, up = make_small_mesh(), tuple(np.divide(up, np.linalg.norm(up)).tolist())
     mesh = coloured_meshes.sheet(12).with_(up=up)
     files = [remesh(mesh, levels=2, base_triangles=20, threads=threads) for threads in (1, 2)]
     assert files[0].data == files[1].data
@@ -380,20 +380,20 @@ def test_what_is_up_comes_back_to_the_bit_on_every_level(up: tuple[float, float,
         np.testing.assert_array_equal(one.vertices, other.vertices)
 
 
-def test_missing_file_and_folder(tmp_path: Path) -> None:
+def test_a_missing_file_or_a_folder_is_reported(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"none\.snm: cannot be read"):
         decode(tmp_path / "none.snm")
     with pytest.raises(InputError, match="cannot be read"):
         decode(tmp_path)
     with pytest.raises(StageError, match="cannot be written"):
-        small().save(tmp_path / "no" / "folder.snm")
+        make_small_mesh().save(tmp_path / "no" / "folder.snm")
 
 
 # -- meshes of levels ------------------------------------------------------------------------------------
 
 
 def test_levels_are_written_as_ply_with_their_confidence(tmp_path: Path) -> None:
-    made = small()
+    made = make_small_mesh()
     paths = made.write_levels(tmp_path / "levels")
     assert [path.name for path in paths] == ["level_0.ply", "level_1.ply", "level_2.ply"]
     made.write(tmp_path / "finest.ply")

@@ -174,7 +174,7 @@ def test_a_png_that_cannot_be_written_is_an_error_with_its_path(tmp_path):
         write_png(tmp_path / "absent" / "picture.png", np.zeros((4, 4, 3), np.uint8))
 
 
-def test_an_outline_has_the_mean_colour_of_what_its_pixels_cover():
+def test_an_outline_pixel_has_the_mean_of_the_covered_colours():
     # The left side of the square passes through the middle of a pixel, which is half background.
     image = render(make_quad(2, [[0, 0, 0]] * 4, half=2 * 20 / 70), AHEAD).astype(float)
     inside, edge, outside = image[30, 21, 0], image[30, 19:21, 0].mean(), image[30, 18, 0]

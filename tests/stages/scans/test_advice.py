@@ -1,4 +1,4 @@
-"""What is no scan gets a next step, and the step is taken here: it leads to a scan."""
+"""Folders that are not scans: the advised next step is carried out, and leads to a scan."""
 
 import re
 import shlex

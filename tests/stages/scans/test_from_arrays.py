@@ -113,7 +113,7 @@ def test_invalid_arguments_are_refused(changes: dict[str, Any], message: str) ->
     assert message in str(told.value)
 
 
-def test_a_frame_made_without_from_arrays_is_checked_too() -> None:
+def test_the_frame_constructor_checks_arrays() -> None:
     camera = make().camera
     with pytest.raises(InputError, match="floats in metres, not uint16"):
         Frame("a", camera, depth=np.full(SIZE, 1500, np.uint16))

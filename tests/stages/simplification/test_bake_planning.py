@@ -21,7 +21,7 @@ from scanloom.stages.simplification.simplify import SimplifyParams, simplify
 from scanloom.stages.surface.mesh import Image, Material, Mesh, Texture
 
 
-def diagonal(mesh: Mesh) -> float:
+def compute_diagonal(mesh: Mesh) -> float:
     return float(np.linalg.norm(np.ptp(mesh.vertices, axis=0)))
 
 
@@ -36,7 +36,7 @@ def test_a_textured_model_is_simplified_freely_and_baked() -> None:
     assert "baked" not in kept.to_dict()
     error, error_of_kept = (stages.compare(mesh, one.mesh, samples=20_000) for one in (found, kept))
     assert error.symmetric.rms <= error_of_kept.symmetric.rms
-    # Where baking loses much, the default does without it.
+    # If baking loses much detail, the default keeps the images.
     chosen = stages.compare(mesh, simplify(mesh, ratio=0.1).mesh, samples=20_000)
     smaller = min(error.color_a_to_b.rmse, error_of_kept.color_a_to_b.rmse)
     assert chosen.color_a_to_b.rmse <= max(3.0, smaller / 0.35)
@@ -54,12 +54,12 @@ def test_without_options_the_bound_follows_from_the_size() -> None:
     kept = simplify(mesh, keep_uv=True)
     assert kept.method == "certified"
     assert kept.default_max_shape == found.default_max_shape
-    # What has no image has the default that it had.
+    # Meshes without images have another default.
     assert simplify(mesh.with_(texture=None)).method == "jia01"
     assert simplify(mesh.with_(texture=None)).default_max_shape is None
 
 
-def test_a_default_bound_that_is_not_proven_is_no_unmet_requirement() -> None:
+def test_an_unproven_default_bound_is_not_an_unmet_requirement() -> None:
     details = {"proven": False, "shape_bound_m": 0.2, "color_bound_levels": None}
     metrics = {"details": details, "triangles_before": 10, "triangles": 5, "stopped_by": "unproven"}
     with collecting() as diagnostics:
@@ -73,9 +73,9 @@ def test_a_default_bound_that_is_not_proven_is_no_unmet_requirement() -> None:
     assert diagnostics[0].severity == Severity.UNMET
 
 
-def test_the_size_does_not_follow_from_a_stray_triangle() -> None:
+def test_a_stray_triangle_does_not_change_the_default_bound() -> None:
     mesh = wrapped_ball(bumps=0.0)
-    assert derive_max_shape(mesh) == pytest.approx(diagonal(mesh) / 1000, rel=0.05)
+    assert derive_max_shape(mesh) == pytest.approx(compute_diagonal(mesh) / 1000, rel=0.05)
     stray = np.array([[500, 0, 0], [500.001, 0, 0], [500, 0.001, 0]])
     triangles = np.vstack([mesh.triangles, len(mesh.vertices) + np.arange(3)]).astype(np.int32)
     far = Mesh(np.vstack([mesh.vertices, stray]), triangles)
@@ -84,7 +84,7 @@ def test_the_size_does_not_follow_from_a_stray_triangle() -> None:
 
 def test_with_a_bound_the_distance_is_proven_and_the_image_baked() -> None:
     mesh = textured_ball(encode_jpeg(waves()), bumps=0.05)
-    bound = 0.01 * diagonal(mesh)
+    bound = 0.01 * compute_diagonal(mesh)
     found = simplify(mesh, max_shape=bound)
     assert found.method == "certified"
     assert found.details.proven
@@ -93,20 +93,20 @@ def test_with_a_bound_the_distance_is_proven_and_the_image_baked() -> None:
     certificate = stages.certify(found.mesh.with_(texture=None), mesh.with_(texture=None), max_shape=bound)
     assert certificate.within_limits
     assert found.baked.color.rmse < 5
-    # A bound on the colours of an image is for the image that stays.
+    # A colour bound keeps the image.
     assert simplify(mesh, max_shape=bound, max_color=60.0).baked is None
 
 
-def test_keep_uv_leaves_the_image_alone_and_coordinates_in_their_charts() -> None:
+def test_keep_uv_keeps_the_image_and_coordinates_stay_in_their_charts() -> None:
     mesh = textured_ball(encode_jpeg(waves()), bumps=0.05)
-    for how in ({"ratio": 0.2}, {"max_shape": 0.01 * diagonal(mesh)}):
+    for how in ({"ratio": 0.2}, {"max_shape": 0.01 * compute_diagonal(mesh)}):
         found = simplify(mesh, keep_uv=True, **how).mesh
         assert found.texture.images[0] is mesh.texture.images[0]
         assert found.texture.uvs.min() >= 0
         assert found.texture.uvs.max() <= 1
 
 
-def test_without_baking_the_texture_is_lost_with_a_note() -> None:
+def test_without_baking_the_texture_is_dropped_with_a_diagnostic() -> None:
     mesh = textured_ball(encode_jpeg(waves()))
     found = simplify(mesh, ratio=0.2, bake=False)
     assert found.method == "quadric"
@@ -115,7 +115,7 @@ def test_without_baking_the_texture_is_lost_with_a_note() -> None:
 
 
 @pytest.mark.parametrize("method", ["quadric", "jia01", "planar"])
-def test_methods_that_carry_no_image_bake_one(method: str) -> None:
+def test_methods_that_drop_images_bake_a_new_one(method: str) -> None:
     mesh = textured_ball(encode_png(waves()))
     how = {"ratio": 0.3} if method == "quadric" else {}
     found = simplify(mesh, method=method, **how)
@@ -123,14 +123,14 @@ def test_methods_that_carry_no_image_bake_one(method: str) -> None:
     assert not any("discards the texture" in str(one) for one in found.diagnostics)
 
 
-def test_a_method_that_is_named_and_carries_an_image_keeps_it_unless_asked() -> None:
+def test_a_named_method_that_keeps_images_bakes_only_on_request() -> None:
     mesh = textured_ball(encode_png(waves()))
     assert simplify(mesh, method="seams", ratio=0.3).baked is None
     assert simplify(mesh, method="seams", ratio=0.3, bake=True).baked is not None
     assert simplify(mesh, method="certified", max_shape=0.05).baked is None
 
 
-def test_parts_stay_and_share_an_image() -> None:
+def test_parts_are_kept_and_share_an_image() -> None:
     one = textured_ball(encode_png(waves()), rings=12, sectors=16)
     vertices = np.vstack([one.vertices, one.vertices + np.array([3, 0, 0])])
     triangles = np.vstack([one.triangles, one.triangles + len(one.vertices)]).astype(np.int32)
@@ -154,7 +154,7 @@ def test_parts_stay_and_share_an_image() -> None:
     assert found.mesh.part_names == ("both",)
 
 
-def test_copies_of_a_vertex_that_rounding_parts_are_one() -> None:
+def test_vertex_copies_that_differ_by_rounding_are_joined() -> None:
     mesh = textured_ball(encode_png(waves()), rings=12, sectors=16)
     flat = mesh.triangles.reshape(-1)
     rng = np.random.default_rng(0)
@@ -167,7 +167,7 @@ def test_copies_of_a_vertex_that_rounding_parts_are_one() -> None:
 
 
 @pytest.mark.parametrize("how", ["repeats", "palette"])
-def test_images_that_an_atlas_cannot_hold_stay(how: str) -> None:
+def test_images_that_do_not_fit_an_atlas_are_kept(how: str) -> None:
     mesh = textured_ball(encode_png(waves()))
     uvs = mesh.texture.uvs * 5 if how == "repeats" else np.full_like(mesh.texture.uvs, 0.3)
     original = mesh.with_(texture=Texture(uvs, mesh.texture.material_ids, mesh.texture.materials))
@@ -178,11 +178,11 @@ def test_images_that_an_atlas_cannot_hold_stay(how: str) -> None:
     assert found.mesh.texture.images[0] is mesh.texture.images[0]
 
 
-def test_images_that_cannot_be_laid_out_stay(monkeypatch: pytest.MonkeyPatch) -> None:
-    def fails(*_: object, **__: object) -> None:
+def test_images_are_kept_if_the_atlas_layout_fails(monkeypatch: pytest.MonkeyPatch) -> None:
+    def raise_layout_error(*_: object, **__: object) -> None:
         raise MeshError(MACHINE_BUG, "falls into too many charts for an image of so few texels.", "mesh")
 
-    monkeypatch.setattr(bake_planning, "bake_materials", fails)
+    monkeypatch.setattr(bake_planning, "bake_materials", raise_layout_error)
     mesh = textured_ball(encode_png(waves()), rings=12, sectors=16)
     found = simplify(mesh, ratio=0.3)
     assert found.method == "seams"
@@ -202,7 +202,7 @@ def test_vertex_colours_are_baked_on_request() -> None:
     assert simplify(mesh.with_(colors=colors), ratio=0.2).baked is None
 
 
-def test_a_material_without_an_image_stays() -> None:
+def test_a_material_without_an_image_is_kept() -> None:
     mesh = textured_ball(encode_png(waves()))
     ids = (mesh.vertices[mesh.triangles].mean(axis=1)[:, 2] < 0).astype(np.int32)
     glass = Material("glass", base_color=(0.1, 0.2, 0.9, 0.5))
@@ -214,13 +214,13 @@ def test_a_material_without_an_image_stays() -> None:
     assert len(found.mesh.texture.images) == 1
 
 
-def test_what_excludes_each_other_is_refused() -> None:
+def test_keep_uv_with_bake_is_refused() -> None:
     with pytest.raises(UsageError, match="keep_uv and bake are both given"):
         simplify(wrapped_ball(), ratio=0.5, keep_uv=True, bake=True)
 
 
-def test_small_print_keeps_its_own_texels() -> None:
-    """Texels of noise cannot be sampled again without loss; the seams of a ball can stay."""
+def test_fine_detail_in_an_image_keeps_its_texels() -> None:
+    """Noise cannot be resampled without loss, and the seams of a ball can be kept."""
     noise = np.random.default_rng(0).integers(0, 2, (128, 128, 1), np.uint8) * np.full(3, 255, np.uint8)
     mesh = textured_ball(Image(given=noise), bumps=0.0)
     found = simplify(mesh, ratio=0.3)
@@ -232,19 +232,21 @@ def test_small_print_keeps_its_own_texels() -> None:
 
 
 @pytest.mark.parametrize("is_better", [True, False])
-def test_images_that_repeat_are_baked_if_their_seams_hold_too_many_triangles(
+def test_repeated_images_are_baked_if_their_seams_keep_too_many_triangles(
     monkeypatch: pytest.MonkeyPatch, is_better: bool
 ) -> None:
     asked: list[tuple[int, int]] = []
 
-    def compared(_mesh: Mesh, baked: SimplificationResult[Any], kept: SimplificationResult[Any]) -> bool:
+    def record_comparison(
+        _mesh: Mesh, baked: SimplificationResult[Any], kept: SimplificationResult[Any]
+    ) -> bool:
         asked.append((len(baked.mesh.triangles), len(kept.mesh.triangles)))
         return is_better
 
-    monkeypatch.setattr("scanloom.stages.simplification.simplify.is_better_baked", compared)
+    monkeypatch.setattr("scanloom.stages.simplification.simplify.is_better_baked", record_comparison)
     mesh = textured_ball(encode_png(waves(64, 32)))
     rng = np.random.default_rng(3)
-    # Each triangle is a chart of its own.
+    # Each triangle is a separate chart.
     texture = replace(mesh.texture, uvs=rng.random(mesh.texture.uvs.shape))
     found = simplify(mesh.with_(texture=texture), ratio=0.1)
     ((baked_count, kept_count),) = asked
@@ -252,7 +254,7 @@ def test_images_that_repeat_are_baked_if_their_seams_hold_too_many_triangles(
     assert len(found.mesh.triangles) == (baked_count if is_better else kept_count)
     assert (found.baked is not None) == is_better
     assert any("new images are baked" in str(one) for one in found.diagnostics) == is_better
-    # What was asked for explicitly is not compared.
+    # Explicit requests are not compared.
     simplify(mesh.with_(texture=texture), ratio=0.1, keep_uv=True)
     assert len(asked) == 1
 

@@ -1,4 +1,4 @@
-"""Simplification piece by piece: no crack, the topology, the number asked for, and bounds that hold."""
+"""Simplification in chunks: no cracks, the same topology, the requested count, and proven bounds."""
 
 from __future__ import annotations
 
@@ -29,8 +29,8 @@ def path(large: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "clean.ply"
 
 
-def is_same_thing(light: Mesh, given: Mesh) -> None:
-    """No new border, no new piece, no other genus."""
+def assert_same_manifold(light: Mesh, given: Mesh) -> None:
+    """Check that there is no new boundary, component or handle."""
     found, expected = topology(light), topology(given)
     assert found.is_manifold
     assert found.is_oriented
@@ -42,12 +42,12 @@ def is_same_thing(light: Mesh, given: Mesh) -> None:
 
 
 @pytest.mark.slow
-def test_the_number_of_triangles_is_met(path: Path) -> None:
+def test_the_triangle_count_is_reached(path: Path) -> None:
     given = read_ply(path)
     done: list[tuple[int, int]] = []
-    found = simplify_chunked(path, SimplifyParams(ratio=0.1), progress=lambda *told: done.append(told))
+    found = simplify_chunked(path, SimplifyParams(ratio=0.1), progress=lambda *call: done.append(call))
     assert 0.098 < len(found.mesh.triangles) / len(given.triangles) <= 0.1
-    is_same_thing(found.mesh, given)
+    assert_same_manifold(found.mesh, given)
     metrics = found.to_dict()
     assert metrics["triangles_before"] == len(given.triangles)
     assert metrics["triangles"] == len(found.mesh.triangles)
@@ -62,22 +62,22 @@ def test_the_number_of_triangles_is_met(path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_bounds_are_proven_for_the_whole(path: Path) -> None:
+def test_bounds_are_proven_for_the_whole_mesh(path: Path) -> None:
     given = read_ply(path)
     params = SimplifyParams(method="certified", max_shape=0.009)
     found = simplify_chunked(path, params)
-    is_same_thing(found.mesh, given)
+    assert_same_manifold(found.mesh, given)
     details = found.to_dict()["details"]
     assert details["proven"]
     assert details["shape_bound_m"] <= 0.009
-    # By a proof of its own, of the result against what was given.
+    # A separate proof compares the result with the input.
     assert certify(found.mesh, given, max_shape=0.009).within_limits
     in_one = len(simplify(given, params).mesh.triangles)
     assert in_one < len(found.mesh.triangles) < 2.5 * in_one
 
 
 @pytest.mark.parametrize("params", [SimplifyParams(ratio=0.2), SimplifyParams(max_shape=0.02)])
-def test_what_is_large_all_the_same_is_halved(
+def test_regions_that_remain_large_are_halved(
     path: Path, params: SimplifyParams, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(simplify_in_pieces_module, "MAX_TRIANGLES_AT_ONCE", 1_500)
@@ -85,7 +85,7 @@ def test_what_is_large_all_the_same_is_halved(
     found = simplify_chunked(path, params)
     assert len(found.joined) > 2
     assert max(one["triangles_before"] for one in (*found.parts, *found.joined)) <= 1_500
-    is_same_thing(found.mesh, given)
+    assert_same_manifold(found.mesh, given)
     if params.ratio is None:
         assert found.to_dict()["details"]["proven"]
         assert certify(found.mesh, given, max_shape=0.02).within_limits
@@ -94,9 +94,7 @@ def test_what_is_large_all_the_same_is_halved(
 
 
 @pytest.mark.slow
-def test_without_a_wish_no_more_are_left_than_others_hold(
-    path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_without_options_the_result_fits_in_memory(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     free = simplify_chunked(path, SimplifyParams())
     assert free.diagnostics == ()
     monkeypatch.setattr(simplify_in_pieces_module, "MAX_IN_MEMORY_TRIANGLES", 1_200)
@@ -104,17 +102,17 @@ def test_without_a_wish_no_more_are_left_than_others_hold(
     found = simplify_chunked(path, SimplifyParams())
     assert len(found.mesh.triangles) <= 1_200
     assert any("default bounds" in str(one) and "1,200 are kept" in str(one) for one in found.diagnostics)
-    # What was asked for is kept to.
+    # An explicit target is kept.
     asked = simplify_chunked(path, SimplifyParams(ratio=0.2))
     assert len(asked.mesh.triangles) > 1_200
     assert asked.diagnostics == ()
 
 
-def test_a_floor_is_not_divided_along_itself() -> None:
-    # Most of a hall's triangles are those of its floor, whose noise is higher than they are wide.
+def test_a_floor_is_not_divided_along_its_plane() -> None:
+    # Most triangles of a hall are on its floor, where the noise exceeds the triangle size.
     x, y = np.meshgrid(np.linspace(0, 4, 120), np.linspace(0, 3, 90))
     height = np.random.default_rng(0).normal(0, 0.05, x.shape)
-    # And a wall, which makes the hall higher than it is wide.
+    # The wall makes the hall higher than it is wide.
     height[:, 60] += 40
     at = (np.arange(119) + 120 * np.arange(89)[:, None]).ravel()
     sides = [np.stack([at, at + 1, at + 121], -1), np.stack([at, at + 121, at + 120], -1)]
@@ -125,7 +123,7 @@ def test_a_floor_is_not_divided_along_itself() -> None:
     assert np.mean(np.concatenate([part.is_shared for part in parts])) < 0.12
 
 
-def test_what_lies_in_one_place_is_divided_too() -> None:
+def test_coincident_triangles_are_divided_by_count() -> None:
     mesh = Mesh(np.zeros((300, 3)), np.arange(300, dtype=np.int32).reshape(-1, 3))
     assert sorted(len(part.mesh.triangles) for part in split_subset(make_full_subset(mesh), 30)) == [25] * 4
 
@@ -146,7 +144,7 @@ def test_equal_input_gives_equal_bytes(path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_small_components_stay_and_that_is_reported(path: Path) -> None:
+def test_small_components_are_kept_with_a_diagnostic(path: Path) -> None:
     found = simplify_chunked(path, SimplifyParams(ratio=0.1, drop_below=0.5))
     assert any(str(one).startswith("drop_below has no effect") for one in found.diagnostics)
     np.testing.assert_array_equal(

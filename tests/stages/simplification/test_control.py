@@ -1,4 +1,4 @@
-"""What a user steers of a simplification: locked vertices, importance, regions."""
+"""User control of a simplification: locked vertices, importance, regions."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from scanloom.stages.surface.topology import topology
 
 
 @pytest.mark.parametrize("fit", [True, False], ids=["fitted", "plain"])
-def test_locked_vertices_stay_to_the_bit(fit: bool) -> None:
+def test_locked_vertices_are_kept_exactly(fit: bool) -> None:
     mesh = sheet(150)
     lock = np.random.default_rng(5).choice(len(mesh.vertices), 400, replace=False)
     result = simplify(mesh, ratio=0.05, lock=lock, fit=fit)
@@ -35,7 +35,7 @@ def test_locked_vertices_stay_to_the_bit(fit: bool) -> None:
         {"method": "jia01", "max_shape": 1.0, "max_color": 1e9},
     ],
 )
-def test_a_mesh_locked_as_a_whole_stays(changes: dict[str, float]) -> None:
+def test_a_completely_locked_mesh_is_unchanged(changes: dict[str, float]) -> None:
     mesh = ball()
     result = simplify(mesh, lock=np.ones(len(mesh.vertices), bool), **changes)
     np.testing.assert_array_equal(result.mesh.vertices, mesh.vertices)
@@ -44,7 +44,7 @@ def test_a_mesh_locked_as_a_whole_stays(changes: dict[str, float]) -> None:
 
 
 @pytest.mark.parametrize("method", ["certified", "jia01"])
-def test_bounds_leave_locked_vertices_where_they_are(method: str) -> None:
+def test_bounded_methods_keep_locked_vertices(method: str) -> None:
     mesh = sheet()
     lock = np.linalg.norm(mesh.vertices[:, :2] - 0.5, axis=1) < 0.2
     result = simplify(mesh, method=method, max_shape=0.01, lock=lock)
@@ -53,22 +53,22 @@ def test_bounds_leave_locked_vertices_where_they_are(method: str) -> None:
     np.testing.assert_array_equal(result.mesh.vertices[at], mesh.vertices[lock])
 
 
-def centers_within(mesh: Mesh, low: float, high: float) -> int:
+def count_centers_within(mesh: Mesh, low: float, high: float) -> int:
     x = mesh.vertices[mesh.triangles].mean(axis=1)[:, 0]
     return int(((low <= x) & (x <= high)).sum())
 
 
-def test_importance_draws_triangles() -> None:
+def test_importance_keeps_more_triangles() -> None:
     mesh = sheet(60)
     left = np.where(mesh.vertices[:, 0] < 0.5, 100.0, 1.0)
     even, uneven = (simplify(mesh, triangles=600, importance=i) for i in (None, left))
-    # The last collapse removes two triangles inside, one on the boundary.
+    # The last collapse removes two triangles, or one at the boundary.
     assert {len(even.mesh.triangles), len(uneven.mesh.triangles)} <= {599, 600}
     assert_same_topology(uneven.mesh, mesh)
-    assert centers_within(uneven.mesh, 0, 0.5) > 1.5 * centers_within(even.mesh, 0, 0.5)
+    assert count_centers_within(uneven.mesh, 0, 0.5) > 1.5 * count_centers_within(even.mesh, 0, 0.5)
 
 
-def test_equal_importance_everywhere_changes_nothing() -> None:
+def test_uniform_importance_has_no_effect() -> None:
     mesh = sheet()
     eight = np.full(len(mesh.vertices), 8.0)
     np.testing.assert_array_equal(
@@ -76,7 +76,7 @@ def test_equal_importance_everywhere_changes_nothing() -> None:
     )
 
 
-def test_regions_stand_for_their_vertices() -> None:
+def test_regions_are_equal_to_values_of_their_vertices() -> None:
     mesh = sheet()
     own = np.random.default_rng(1).uniform(0.5, 3.0, len(mesh.vertices))
     regions = (

@@ -1,4 +1,4 @@
-"""A real Ctrl-C in the middle of a long simplification, with and without wanting what there is by then."""
+"""Ctrl-C during a long simplification, with and without `keep_on_interrupt`."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ from scanloom.stages.surface.topology import topology
 
 pytestmark = pytest.mark.slow
 
-# Hills of half a million triangles or fewer; the child says when collapsing, or proving, has begun, and
-# afterwards how far it came and when it stopped.
+# A height field of up to half a million triangles. The child process reports the start of collapsing or of
+# the proof, and finally its progress and its end.
 CHILD = """
 import json, sys, time
 import numpy as np
@@ -41,13 +41,13 @@ colors = np.stack([255 * x, 255 * y, 0 * x], -1).reshape(-1, 3).astype(np.uint8)
 mesh = Mesh(np.stack([x, y, z], -1).reshape(-1, 3), triangles.astype(np.int32), colors=colors)
 
 seen = []
-said = False
+has_reported = False
 def progress(done, total):
-    # While a proof is made, no more triangles go.
-    global said
-    if not said and (not at_proof or (done > 0 and seen[-1:] == [(done, total)])):
-        # Ctrl-C comes as soon as this is printed.
-        said = True
+    # During a proof, the triangle count does not change.
+    global has_reported
+    if not has_reported and (not at_proof or (done > 0 and seen[-1:] == [(done, total)])):
+        # Ctrl-C is sent as soon as this is printed.
+        has_reported = True
         print("working", flush=True)
     seen.append((done, total))
 
@@ -64,17 +64,17 @@ else:
 """
 
 
-def interrupted(**arguments: Any) -> dict[str, Any]:
+def run_interrupted(**arguments: Any) -> dict[str, Any]:
     command = [sys.executable, "-c", CHILD, json.dumps(arguments)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as child:
         too_long = threading.Timer(120, child.kill)
         too_long.start()
         assert child.stdout is not None
         assert child.stdout.readline() == "working\n"
-        # The clock is the same for both processes.
+        # Both processes use the same clock.
         sent_at = time.monotonic()
         child.send_signal(signal.SIGINT)
-        # What came together with the first line waits here, where `communicate` would not look.
+        # The rest of the output is in this buffer, which `communicate` does not read.
         output = child.stdout.read()
         too_long.cancel()
     assert child.returncode == 0, output
@@ -84,8 +84,8 @@ def interrupted(**arguments: Any) -> dict[str, Any]:
     return report
 
 
-# Seconds from Ctrl-C to the end of the work: with nothing else to do 0.13 at most in 20 tries, but other
-# tests are at work beside this one.
+# Maximum time from Ctrl-C to the end, seconds. It was at most 0.13 s in 20 tries on an idle machine, but
+# other tests may run at the same time.
 SOON = 1.0
 
 METHODS = pytest.mark.parametrize(
@@ -96,34 +96,35 @@ METHODS = pytest.mark.parametrize(
 
 
 @METHODS
-def test_ctrl_c_stops_the_work(arguments: dict[str, float]) -> None:
-    report = interrupted(**arguments)
+def test_ctrl_c_stops_the_collapses(arguments: dict[str, float]) -> None:
+    report = run_interrupted(**arguments)
     assert report["interrupted"]
-    # It had a long way to go still, or did not even know how long.
+    # Work was left, or the total was not yet known.
     assert all(done < total or total == 0 for done, total in report["seen"])
     assert report["seconds"] < SOON
 
 
 def test_ctrl_c_stops_a_proof() -> None:
-    report = interrupted(n=300, max_shape=0.0005, max_color=3, at_proof=True)
+    report = run_interrupted(n=300, max_shape=0.0005, max_color=3, at_proof=True)
     assert report["interrupted"]
     assert report["seconds"] < SOON
 
 
-def test_ctrl_c_during_a_proof_ends_it_and_gives_out_what_it_was_about() -> None:
-    report = interrupted(n=300, max_shape=0.0005, max_color=3, at_proof=True, keep_on_interrupt=True)
+def test_ctrl_c_during_a_proof_returns_the_mesh() -> None:
+    report = run_interrupted(n=300, max_shape=0.0005, max_color=3, at_proof=True, keep_on_interrupt=True)
     assert not report["interrupted"]
-    # Where that proof succeeds there was nothing left to do.
+    # If this proof succeeds, the simplification is complete.
     assert report["stopped_by"] in ("request", "bounds")
     assert report["triangles"] < 0.9 * 180_000
     assert report["sound"]
 
 
 @METHODS
-def test_ctrl_c_gives_out_what_there_is(arguments: dict[str, float]) -> None:
-    # Bounds are proven of what there is, which takes longer than getting there.
+def test_ctrl_c_returns_the_mesh_simplified_so_far(arguments: dict[str, float]) -> None:
+    # With bounds, the mesh is smaller, because the proof for the current mesh takes longer than the
+    # collapses.
     n = 500 if {"ratio", "method"} & arguments.keys() else 200
-    report = interrupted(keep_on_interrupt=True, n=n, **arguments)
+    report = run_interrupted(keep_on_interrupt=True, n=n, **arguments)
     assert not report["interrupted"]
     assert report["stopped_by"] == "request"
     assert 0.05 * 2 * n**2 < report["triangles"] < 2 * n**2
@@ -131,7 +132,7 @@ def test_ctrl_c_gives_out_what_there_is(arguments: dict[str, float]) -> None:
     assert report["euler"] == 1
 
 
-def hills(n: int) -> Mesh:
+def make_hills(n: int) -> Mesh:
     y, x = np.mgrid[0 : n + 1, 0 : n + 1] / n
     z = 0.1 * np.sin(7 * x) * np.cos(5 * y) + np.random.default_rng(0).normal(0, 0.1 / n, x.shape)
     a = (np.arange(n)[:, None] * (n + 1) + np.arange(n)).ravel()
@@ -141,8 +142,8 @@ def hills(n: int) -> Mesh:
 
 
 @METHODS
-def test_progress_that_returns_false_gives_out_what_there_is(arguments: dict[str, float]) -> None:
-    mesh = hills(500)
+def test_progress_that_returns_false_returns_the_mesh_simplified_so_far(arguments: dict[str, float]) -> None:
+    mesh = make_hills(500)
     result = simplify(mesh, record="ratio" in arguments, progress=lambda *_: False, **arguments)
     assert result.stopped_by == "request"
     assert not getattr(result.details, "fitted", False)
@@ -154,46 +155,46 @@ def test_progress_that_returns_false_gives_out_what_there_is(arguments: dict[str
         np.testing.assert_array_equal(result.record.replay().mesh.vertices, result.mesh.vertices)
 
 
-def test_ctrl_c_while_progress_is_told() -> None:
-    mesh = hills(500)
+def test_ctrl_c_during_the_progress_callback_is_handled() -> None:
+    mesh = make_hills(500)
 
-    def ctrl_c(*_: int) -> None:
+    def raise_sigint(*_: int) -> None:
         signal.raise_signal(signal.SIGINT)
 
     with pytest.raises(KeyboardInterrupt):
-        simplify(mesh, ratio=0.05, progress=ctrl_c)
-    assert simplify(mesh, ratio=0.05, progress=ctrl_c, keep_on_interrupt=True).stopped_by == "request"
+        simplify(mesh, ratio=0.05, progress=raise_sigint)
+    assert simplify(mesh, ratio=0.05, progress=raise_sigint, keep_on_interrupt=True).stopped_by == "request"
 
 
-def test_other_answers_of_progress_mean_nothing() -> None:
-    result = simplify(hills(300), ratio=0.05, progress=lambda *_: 0)
+def test_other_return_values_of_progress_are_ignored() -> None:
+    result = simplify(make_hills(300), ratio=0.05, progress=lambda *_: 0)
     assert result.stopped_by == "triangles"
 
 
-def test_what_is_there_while_fitting_is_the_mesh_not_fitted(monkeypatch: pytest.MonkeyPatch) -> None:
-    mesh = hills(40)
+def test_an_interrupted_fit_returns_the_mesh_without_fit(monkeypatch: pytest.MonkeyPatch) -> None:
+    mesh = make_hills(40)
     plain = simplify(mesh, ratio=0.1, fit=False)
 
-    def ctrl_c(*_: Any) -> NoReturn:
+    def raise_sigint(*_: Any) -> NoReturn:
         raise KeyboardInterrupt
 
-    def asks(_light: Any, _given: Any, _lock: Any, _threads: int, progress: Progress) -> NoReturn:
+    def call_progress(_light: Any, _given: Any, _lock: Any, _threads: int, progress: Progress) -> NoReturn:
         progress(0, 0)
-        raise AssertionError("progress was told to stop")
+        raise AssertionError("progress requested a stop")
 
-    told: list[tuple[int, int]] = []
+    calls: list[tuple[int, int]] = []
 
     def stop(done: int, total: int) -> bool:
-        told.append((done, total))
+        calls.append((done, total))
         return False
 
-    monkeypatch.setattr("scanloom.stages.simplification.quadric.run.fit_to_input", ctrl_c)
+    monkeypatch.setattr("scanloom.stages.simplification.quadric.run.fit_to_input", raise_sigint)
     with pytest.raises(KeyboardInterrupt):
         simplify(mesh, ratio=0.1)
     results = [simplify(mesh, ratio=0.1, keep_on_interrupt=True)]
-    monkeypatch.setattr("scanloom.stages.simplification.quadric.run.fit_to_input", asks)
+    monkeypatch.setattr("scanloom.stages.simplification.quadric.run.fit_to_input", call_progress)
     results.append(simplify(mesh, ratio=0.1, progress=stop))
-    assert told[-1] == (2880, 2880)
+    assert calls[-1] == (2880, 2880)
     for result in results:
         assert (result.stopped_by, result.details.fitted) == ("request", False)
         np.testing.assert_array_equal(result.mesh.vertices, plain.mesh.vertices)

@@ -1,4 +1,4 @@
-"""The table of methods: what is made from it, what `auto` makes of it, and a sixth row."""
+"""Method table: derived parameters and commands, selection by `auto`, and a sixth row."""
 
 from __future__ import annotations
 
@@ -25,16 +25,16 @@ from scanloom.stages.simplification.simplify import simplify
 ROOT = Path(__file__).parents[3]
 
 
-# -- what is made from the table -------------------------------------------------------------------------
+# -- parameters derived from the table --------------------------------------------------------------------
 
 
 @pytest.mark.parametrize("method", METHODS, ids=lambda method: method.name)
-def test_parameters_of_a_method_are_in_the_field_of_its_name(method: Method[Any, Any]) -> None:
+def test_parameters_of_a_method_are_in_the_field_with_its_name(method: Method[Any, Any]) -> None:
     assert find_nested(SimplifyParams).get(method.name) is method.params
     assert set(method.shared) <= set(describe_own(SimplifyParams))
 
 
-def test_no_parameter_of_a_method_has_the_name_of_another() -> None:
+def test_parameter_names_are_unique_among_methods() -> None:
     names = [name.rpartition(".")[2] for name in describe_all(SimplifyParams)]
     assert len(names) == len(set(names))
 
@@ -46,7 +46,7 @@ def test_a_method_gets_its_own_parameters() -> None:
     assert seams.get_own_params(SimplifyParams(seams=own, max_shape=1.0)) is own
 
 
-def test_parameters_of_a_method_can_be_given_as_an_object_or_a_dict() -> None:
+def test_parameters_of_a_method_can_be_an_object_or_a_dict() -> None:
     given = SimplifyParams(ratio=0.5, seams=SeamsParams(duplicate_penalty=0.0, part_border_penalty=2.0))
     assert resolve(SimplifyParams, None, {"ratio": 0.5, "seams": given.seams}) == given
     assert resolve(SimplifyParams, given, {"seams": {"duplicate_penalty": 0.2}}).seams == SeamsParams(
@@ -81,7 +81,7 @@ def test_mistakes_in_parameters_of_a_method_are_named(given: dict[str, Any], sen
     assert sentence in str(refused.value)
 
 
-# -- what auto makes of it -------------------------------------------------------------------------------
+# -- selection by auto ------------------------------------------------------------------------------------
 
 
 @pytest.mark.parametrize(
@@ -100,7 +100,7 @@ def test_mistakes_in_parameters_of_a_method_are_named(given: dict[str, Any], sen
         ({"jia01": {"paper_rule": True}}, "jia01", "jia01"),
     ],
 )
-def test_auto_takes_the_first_that_has_all_and_lacks_nothing(
+def test_auto_selects_the_first_method_that_supports_all_parameters(
     given: dict[str, Any], plain: str, in_pieces: str
 ) -> None:
     params = resolve(SimplifyParams, None, given)
@@ -143,13 +143,13 @@ def test_auto_takes_the_first_that_has_all_and_lacks_nothing(
         ),
     ],
 )
-def test_what_suits_no_method_is_said(given: dict[str, Any], sentence: str) -> None:
+def test_unsupported_combinations_are_reported(given: dict[str, Any], sentence: str) -> None:
     with pytest.raises(UsageError) as refused:
         select_method(resolve(SimplifyParams, None, given))
     assert sentence in str(refused.value)
 
 
-def test_what_a_method_does_not_take_is_said_with_those_that_do() -> None:
+def test_an_unsupported_parameter_is_reported_with_the_methods_that_support_it() -> None:
     mesh = sheet(8)
     with pytest.raises(
         UsageError, match=r"^record is not supported by method planar, only by quadric, .*\.$"
@@ -161,7 +161,7 @@ def test_what_a_method_does_not_take_is_said_with_those_that_do() -> None:
 
 # -- a sixth method --------------------------------------------------------------------------------------
 
-# The one row, and the one field.
+# The added row and field.
 _IMPORTS = """from scanloom.stages.simplification.sixth import run as cut
 from scanloom.stages.simplification.sixth.details import CutDetails
 from scanloom.stages.simplification.sixth.params import CutParams
@@ -193,7 +193,7 @@ triangles = np.concatenate([squares[:, [0, 1, 2]], squares[:, [0, 2, 3]]]).astyp
 mesh = Mesh(np.stack([x, y, y], 2).reshape(-1, 3).astype(float), triangles)
 write_mesh("sheet.ply", mesh)
 
-def said(*words):
+def run(*words):
     out, err = io.StringIO(), io.StringIO()
     with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
         code = run_command(words)
@@ -210,9 +210,9 @@ json.dump({
     "removed": simplify(mesh, cut={"max_height": 2.0, "slope": 0.0}).details.removed,
     "method": simplify(mesh, config.simplify).method,
     "toml": config.dumps(),
-    "help": said("simplify", "--help"),
-    "json": said("simplify", "sheet.ply", "out.ply", "--max-height", "2", "--json"),
-    "text": said("simplify", "sheet.ply", "again.ply", "--max-height", "2", "--set", "simplify.cut.slope=0"),
+    "help": run("simplify", "--help"),
+    "json": run("simplify", "sheet.ply", "out.ply", "--max-height", "2", "--json"),
+    "text": run("simplify", "sheet.ply", "again.ply", "--max-height", "2", "--set", "simplify.cut.slope=0"),
     "refused": [
         refused(cut={"slope": 1.0}),
         refused(method="cut"),
@@ -226,7 +226,7 @@ json.dump({
 
 @pytest.fixture(scope="module")
 def six(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
-    """What a copy of this package says that has one folder and one row more."""
+    """Run a copy of the package with one folder and one table row more; return its output."""
     copy = tmp_path_factory.mktemp("six")
     for package in ("scanloom", "stages", "pipeline", "cli"):
         shutil.copytree(ROOT / package, copy / package, ignore=shutil.ignore_patterns("__pycache__", "*.so"))
@@ -248,8 +248,8 @@ def six(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
         check=False,
     )
     assert ran.returncode == 0, ran.stderr
-    said: dict[str, Any] = json.loads(ran.stdout)
-    return said
+    output: dict[str, Any] = json.loads(ran.stdout)
+    return output
 
 
 @pytest.mark.slow
@@ -270,7 +270,7 @@ def test_a_sixth_method_is_in_the_help_and_in_toml(six: dict[str, Any]) -> None:
     assert "what is above a height falls away" in " ".join(six["toml"].replace("\n#", "").split())
 
 
-def test_a_sixth_method_is_in_json_and_in_words(six: dict[str, Any]) -> None:
+def test_a_sixth_method_is_in_json_and_in_text_output(six: dict[str, Any]) -> None:
     code, text, _ = six["json"]
     assert code == 0
     assert json.loads(text)["method"] == "cut"
@@ -278,7 +278,7 @@ def test_a_sixth_method_is_in_json_and_in_words(six: dict[str, Any]) -> None:
     assert six["text"][1].endswith("\n\nCut off: 16 triangles.\n")
 
 
-def test_a_sixth_method_is_in_what_auto_refuses(six: dict[str, Any]) -> None:
+def test_a_sixth_method_is_in_messages_of_auto(six: dict[str, Any]) -> None:
     assert six["refused"] == [
         "cut.slope belongs to method cut, which needs cut.max_height.",
         "method cut needs a height; give cut.max_height.",

@@ -1,4 +1,4 @@
-"""The default bound of scanned surfaces: twice the standard deviation of each vertex."""
+"""Default bound of scanned surfaces: twice the standard deviation of each vertex."""
 
 import numpy as np
 import pytest
@@ -11,7 +11,7 @@ SIDE = 81
 
 
 def make_noisy_square(seed: int) -> tuple[Mesh, np.ndarray]:
-    """Create a square of 1 m with colours, whose right part is ten times as noisy as its left part."""
+    """Make a coloured square of 1 m, whose right part is ten times as noisy as its left part."""
     rng = np.random.default_rng(seed)
     x, y = (axis.ravel() for axis in np.meshgrid(np.linspace(0, 1, SIDE), np.linspace(0, 1, SIDE)))
     deviations = np.where(x < 0.4, 0.0005, 0.005)
@@ -33,7 +33,7 @@ def test_the_median_gives_the_bound_and_smaller_deviations_an_importance() -> No
     assert importance == pytest.approx(np.repeat([4.0, 1.0, 1.0], [30, 40, 30]))
 
 
-def test_vertices_without_a_deviation_are_as_precise_as_the_best() -> None:
+def test_vertices_without_a_deviation_get_the_smallest_one() -> None:
     deviations = np.concatenate([[0.0], np.full(20, 0.001), np.full(79, 0.002)])
     bound, importance = derive_noise_bound(deviations, 2.0)
     assert bound == pytest.approx(0.004)
@@ -41,7 +41,7 @@ def test_vertices_without_a_deviation_are_as_precise_as_the_best() -> None:
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_every_vertex_deviates_as_far_as_its_own_noise(seed: int) -> None:
+def test_every_vertex_stays_within_its_noise(seed: int) -> None:
     mesh, deviations = make_noisy_square(seed)
     found = simplify(mesh, deviations=deviations, attribute_scale=0)
     assert found.method == "certified"

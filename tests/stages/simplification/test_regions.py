@@ -1,4 +1,4 @@
-"""Regions: which vertices they hold, how they are written, what makes none."""
+"""Regions: their vertices, their text form, and invalid regions."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from scanloom.stages.surface.mesh import Mesh
 LINE = Mesh(np.stack([np.arange(5.0), np.zeros(5), np.zeros(5)], 1), np.zeros((0, 3), np.int32))
 
 
-def test_a_sphere_holds_what_is_within_its_radius() -> None:
+def test_a_sphere_contains_points_within_its_radius() -> None:
     sphere = Sphere((1.0, 0.0, 0.0), 1.0, lock=True)
     assert sphere.contains(LINE.vertices).tolist() == [True, True, True, False, False]
 
 
-def test_a_box_holds_what_is_between_its_corners() -> None:
+def test_a_box_contains_points_between_its_corners() -> None:
     box = Box((0.5, -1.0, 0.0), (3.0, 1.0, 0.0), lock=True)
     assert box.contains(LINE.vertices).tolist() == [False, True, True, True, False]
 
@@ -35,7 +35,7 @@ def test_a_box_holds_what_is_between_its_corners() -> None:
         ("  box -1 -1 -1 1 1 1 0.25 lock", Box((-1, -1, -1), (1, 1, 1), importance=0.25, lock=True)),
     ],
 )
-def test_regions_in_words(text: str, region: Region) -> None:
+def test_regions_are_parsed_from_text(text: str, region: Region) -> None:
     assert parse_region(text) == region
 
 
@@ -56,12 +56,12 @@ def test_regions_in_words(text: str, region: Region) -> None:
         ("box 0 0 0 1 -1 1 lock", "the first corner must be the minimum"),
     ],
 )
-def test_what_is_no_region(text: str, message: str) -> None:
+def test_invalid_regions_are_refused(text: str, message: str) -> None:
     with pytest.raises(UsageError, match=message):
         parse_region(text)
 
 
-def test_a_place_has_three_coordinates() -> None:
+def test_a_center_needs_three_coordinates() -> None:
     with pytest.raises(UsageError, match="three finite numbers"):
         Sphere((0, 0), 1, lock=True)  # type: ignore[arg-type]
 
@@ -78,7 +78,7 @@ def test_the_largest_importance_counts_and_locks_add_up() -> None:
     assert importance.tolist() == [4, 9, 4, 2, 3]
 
 
-def test_a_region_may_care_less() -> None:
+def test_a_region_can_reduce_the_importance() -> None:
     _, importance = resolve_vertex_control(LINE, None, None, [Sphere((0.0, 0.0, 0.0), 1.5, importance=0.5)])
     assert importance.tolist() == [0.5, 0.5, 1, 1, 1]
 
@@ -91,7 +91,7 @@ coordinate = st.floats(-1e6, 1e6)
     radius=st.floats(1e-6, 1e6),
     effect=st.fixed_dictionaries({"importance": st.floats(1e-6, 1e6), "lock": st.booleans()}),
 )
-def test_what_is_written_is_read(
+def test_a_region_is_read_as_written(
     center: tuple[float, float, float], radius: float, effect: dict[str, Any]
 ) -> None:
     words = ["sphere", *map(repr, center), repr(radius), repr(effect["importance"])]

@@ -1,4 +1,4 @@
-"""Sheets that touch at a few vertices stay as far apart as they are, whatever becomes of each."""
+"""Touching sheets: sheets that touch at a few vertices are not joined any further."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from scanloom import Mesh, simplify
 SIDES, RINGS = 8, 5
 
 
-def _ball(width: float) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
-    """Rings of vertices between two poles; the poles are as far apart whatever the width."""
+def _make_ball(width: float) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+    """Make rings of vertices between two poles; the distance of the poles does not depend on the width."""
     along, around = np.pi * np.arange(1, RINGS + 1) / (RINGS + 1), 2 * np.pi * np.arange(SIDES) / SIDES
     x, radius = np.repeat(-np.cos(along), SIDES), np.repeat(width * np.sin(along), SIDES)
     angles = np.tile(around, RINGS)
@@ -32,10 +32,10 @@ def _ball(width: float) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
     return np.concatenate([[[-1.0, 0, 0]], points, [[1.0, 0, 0]]]), np.array(triangles, np.int32)
 
 
-def _balls(touching: int) -> Mesh:
-    """Two closed surfaces, one inside the other, with so many vertices in common, none beside another."""
-    outer, triangles = _ball(1.0)
-    inner, _ = _ball(0.6)
+def _make_nested_balls(touching: int) -> Mesh:
+    """Make two closed surfaces, one inside the other, with common vertices that are not adjacent."""
+    outer, triangles = _make_ball(1.0)
+    inner, _ = _make_ball(0.6)
     common = [0, len(outer) - 1, 1 + SIDES * (RINGS // 2)][:touching]
     inner[common] = outer[common]
     numbers = np.arange(len(inner), dtype=np.int32) + len(outer)
@@ -54,8 +54,8 @@ def _balls(touching: int) -> Mesh:
     ],
 )
 @pytest.mark.parametrize("is_soup", [False, True])
-def test_no_edge_and_no_triangle_comes_to_be_twice(touching: int, how: dict[str, Any], is_soup: bool) -> None:
-    mesh = _balls(touching)
+def test_no_edge_or_triangle_is_duplicated(touching: int, how: dict[str, Any], is_soup: bool) -> None:
+    mesh = _make_nested_balls(touching)
     before = weld_corners(mesh)
     if is_soup:
         corners = np.arange(3 * len(mesh.triangles), dtype=np.int32).reshape(-1, 3)

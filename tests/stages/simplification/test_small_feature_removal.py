@@ -19,13 +19,13 @@ from scanloom.stages.simplification.small_feature_removal import remove_small_fe
 from scanloom.stages.surface.mesh import Mesh
 from scanloom.stages.surface.topology import compute_areas, topology
 
-# Side of a box beside the sheet, and side of a hole in it; the sheet has cells of 0.025.
+# Size of a box next to the sheet, and of a hole in the sheet, which has cells of 0.025.
 BOX, HOLE = 0.04, 0.075
 LIMIT = 0.12
 
 
-def sheet_with_faults(boxes: int = 3) -> Mesh:
-    """Return a sheet of 1 m with a hole of 3 × 3 cells, one of 20 × 20, and small boxes above it."""
+def make_defective_sheet(boxes: int = 3) -> Mesh:
+    """Make a sheet of 1 m with holes of 3 × 3 and 20 × 20 cells, and small boxes above it."""
     mesh = sheet(noise=0.0, height=0.0)
     cell = np.floor(mesh.vertices[mesh.triangles].mean(axis=1)[:, :2] * 40)
     small = np.abs(cell - (8, 8)).max(axis=1) < 2
@@ -42,12 +42,12 @@ def sheet_with_faults(boxes: int = 3) -> Mesh:
 
 
 def test_counts_and_areas_are_exact() -> None:
-    mesh = sheet_with_faults()
+    mesh = make_defective_sheet()
     found = simplify(mesh, ratio=0.1, drop_below=LIMIT)
     dropped = found.dropped
     assert (dropped.components, dropped.component_triangles) == (3, 36)
     assert dropped.component_area_m2 == pytest.approx(3 * 6 * BOX**2)
-    # Twelve edges around a hole of three cells by three.
+    # Twelve edges around a hole of three by three cells.
     assert (dropped.holes, dropped.hole_triangles) == (1, 10)
     assert dropped.hole_area_m2 == pytest.approx(HOLE**2)
     now = topology(found.mesh)
@@ -56,8 +56,8 @@ def test_counts_and_areas_are_exact() -> None:
     assert len(found.mesh.triangles) <= 0.1 * len(mesh.triangles)
 
 
-def test_they_are_reported() -> None:
-    found = simplify(sheet_with_faults(), ratio=0.1, drop_below=LIMIT)
+def test_removed_features_are_reported() -> None:
+    found = simplify(make_defective_sheet(), ratio=0.1, drop_below=LIMIT)
     assert found.to_dict()["dropped"] == found.dropped.to_dict()
     (warning,) = [str(one) for one in found.diagnostics if one.code == SIMPLIFY_COMPONENTS_REMOVED.name]
     assert warning.startswith("drop_below ")
@@ -66,8 +66,8 @@ def test_they_are_reported() -> None:
     assert str(found.diagnostics[0]) == warning
 
 
-def test_nothing_is_said_where_nothing_is_small() -> None:
-    mesh = sheet_with_faults()
+def test_without_small_features_nothing_is_reported() -> None:
+    mesh = make_defective_sheet()
     plain = simplify(mesh, ratio=0.1)
     assert plain.dropped is None
     assert "dropped" not in plain.to_dict()
@@ -79,8 +79,8 @@ def test_nothing_is_said_where_nothing_is_small() -> None:
 
 
 @pytest.mark.parametrize("method", METHODS, ids=lambda method: method.name)
-def test_every_method_takes_it(method: Method[Any, Any]) -> None:
-    mesh = sheet_with_faults()
+def test_every_method_supports_drop_below(method: Method[Any, Any]) -> None:
+    mesh = make_defective_sheet()
     found = simplify(mesh, drop_below=LIMIT, **make_parameters(method, mesh))
     assert (found.dropped.components, found.dropped.holes) == (3, 1)
     assert topology(found.mesh).components == 1
@@ -90,9 +90,9 @@ def test_every_method_takes_it(method: Method[Any, Any]) -> None:
     assert found.vertex_source.max() < len(mesh.vertices)
 
 
-def test_sources_are_those_of_the_mesh_that_was_given() -> None:
-    mesh = sheet_with_faults()
-    # The boxes come first, so that indices shift.
+def test_sources_refer_to_the_given_mesh() -> None:
+    mesh = make_defective_sheet()
+    # The boxes are first, so that indices are shifted.
     mesh = mesh.with_(triangles=np.roll(mesh.triangles, 36, axis=0))
     rest = remove_small_features(mesh, LIMIT, np.zeros(len(mesh.vertices), bool))
     np.testing.assert_array_equal(rest.mesh.vertices, mesh.vertices[rest.vertex_source])
@@ -101,21 +101,21 @@ def test_sources_are_those_of_the_mesh_that_was_given() -> None:
     np.testing.assert_array_equal(
         rest.vertex_source[rest.mesh.triangles[:kept]], mesh.triangles[rest.triangle_source[:kept]]
     )
-    # A triangle that fills a hole names one that touches it.
+    # The source of a triangle in a filled hole is adjacent to it.
     for triangle, source in zip(rest.mesh.triangles[kept:], rest.triangle_source[kept:], strict=True):
         assert set(rest.vertex_source[triangle]) & set(mesh.triangles[source])
 
 
-def test_caps_face_as_their_surroundings() -> None:
-    mesh = sheet_with_faults(boxes=0)
+def test_hole_fillings_have_the_orientation_of_their_surroundings() -> None:
+    mesh = make_defective_sheet(boxes=0)
     rest = remove_small_features(mesh, LIMIT, np.zeros(len(mesh.vertices), bool)).mesh
     a, b, c = (rest.vertices[rest.triangles[:, k]] for k in range(3))
     assert (np.cross(b - a, c - a)[:, 2] > 0).all()
     assert topology(rest).is_oriented
 
 
-def test_a_locked_component_stays() -> None:
-    mesh = sheet_with_faults()
+def test_a_locked_component_is_kept() -> None:
+    mesh = make_defective_sheet()
     locked = [len(mesh.vertices) - 1]
     found = simplify(mesh, ratio=0.1, drop_below=LIMIT, lock=locked)
     assert found.dropped.components == 2
@@ -123,7 +123,7 @@ def test_a_locked_component_stays() -> None:
 
 
 def test_importance_follows_its_vertices() -> None:
-    mesh = sheet_with_faults()
+    mesh = make_defective_sheet()
     mesh = mesh.with_(triangles=mesh.triangles[::-1].copy())
     importance = np.where(mesh.vertices[:, 0] < 0.5, 50.0, 1.0)
     found = simplify(mesh, ratio=0.1, drop_below=LIMIT, importance=importance)
@@ -133,9 +133,9 @@ def test_importance_follows_its_vertices() -> None:
     np.testing.assert_array_equal(found.mesh.vertices, expected.mesh.vertices)
 
 
-def test_texture_seams_are_no_holes() -> None:
+def test_texture_seams_are_not_holes() -> None:
     mesh = wrapped_ball()
-    # Copies of vertices on the seam, as files of one coordinate per vertex have them.
+    # Vertices at the seam have copies, as in files with one coordinate per vertex.
     corners = mesh.triangles.reshape(-1)
     apart = mesh.with_(vertices=mesh.vertices[corners], triangles=np.arange(len(corners)).reshape(-1, 3))
     found = simplify(apart, ratio=0.3, drop_below=1.0)
@@ -144,19 +144,19 @@ def test_texture_seams_are_no_holes() -> None:
 
 def test_a_limit_above_all_components_is_refused() -> None:
     with pytest.raises(UsageError, match=r"drop_below is 5 m, .* nothing would be left"):
-        simplify(sheet_with_faults(), ratio=0.1, drop_below=5.0)
+        simplify(make_defective_sheet(), ratio=0.1, drop_below=5.0)
 
 
 @pytest.mark.parametrize("value", [0.0, -1.0])
-def test_a_limit_of_zero_is_refused(value: float) -> None:
+def test_a_limit_that_is_not_positive_is_refused(value: float) -> None:
     with pytest.raises(UsageError, match="drop_below"):
-        simplify(sheet_with_faults(), ratio=0.1, drop_below=value)
+        simplify(make_defective_sheet(), ratio=0.1, drop_below=value)
 
 
 def test_holes_that_meet_at_a_vertex_stay_open() -> None:
     mesh = sheet(noise=0.0, height=0.0)
     cell = np.floor(mesh.vertices[mesh.triangles].mean(axis=1)[:, :2] * 40)
-    # Two cells that touch at one corner, and one by itself.
+    # Two cells that touch at a corner, and a separate one.
     gone = np.zeros(len(cell), bool)
     for at in ((5, 5), (6, 6), (20, 20)):
         gone |= (cell == at).all(axis=1)
@@ -167,8 +167,8 @@ def test_holes_that_meet_at_a_vertex_stay_open() -> None:
     assert compute_areas(rest.mesh.vertices, rest.mesh.triangles).sum() == pytest.approx(1 - 2 / 1600)
 
 
-def test_a_room_gains_from_it(shared_data) -> None:
-    """With 190 components at 1 % of the triangles, small ones took half of the accuracy."""
+def test_drop_below_reduces_the_error_of_a_room(shared_data) -> None:
+    """At 1 % of the triangles, the 190 small components cause half of the error."""
     from scanloom.stages.comparing.compare import compare
     from scanloom.stages.surface.mesh_files import read_mesh
 

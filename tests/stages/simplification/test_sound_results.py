@@ -1,4 +1,4 @@
-"""Every method gives finite coordinates, near the input."""
+"""Soundness: every method gives finite coordinates close to the input."""
 
 from __future__ import annotations
 
@@ -32,15 +32,15 @@ SHARED = (
     "fandisk.obj",
     "textured_scans/can.glb",
 )
-# Of the diagonal. Optimal placement leaves the box the farther, the fewer triangles are left: at 5 % of the
-# triangles of fuze, 4 % of the diagonal, and with 20 random triangles 15 %.
+# Relative to the diagonal. Optimal placement leaves the box farther, the fewer triangles are left: by 4 % at
+# 5 % of the triangles of fuze, and by 15 % for 20 random triangles.
 FREE_AT_RATIO = {0.3: 0.01, 0.05: 0.06}
 FREE_IN_SOUPS = 0.3
 
 
 @st.composite
-def soups(draw: st.DrawFn) -> Mesh:
-    """Draw triangles between few points, some of them at one place, with flat and duplicate triangles."""
+def draw_soups(draw: st.DrawFn) -> Mesh:
+    """Draw triangles between few points, with coincident points, and flat and duplicate triangles."""
     points, triangles = draw(st.integers(3, 10)), draw(st.integers(1, 20))
     number = st.sampled_from([0.0, 1.0, 2.0, 0.5, -1.0, 1e-3, 100.0])
     index = st.integers(0, points - 1)
@@ -50,7 +50,7 @@ def soups(draw: st.DrawFn) -> Mesh:
 
 
 def require_sound(mesh: Mesh, method: Method[Any, Any], ratio: float, free_share: float) -> None:
-    """Simplify and check; a mesh that the method refuses with a message counts as good."""
+    """Simplify and check; a mesh that the method refuses with an error is accepted."""
     parameters = make_parameters(method, mesh, ratio=ratio)
     if parameters.get("max_shape") == 0:
         return
@@ -63,34 +63,38 @@ def require_sound(mesh: Mesh, method: Method[Any, Any], ratio: float, free_share
 
 @each_method
 @pytest.mark.parametrize("name", MADE)
-def test_made_meshes_stay_near(name: str, method: Method[Any, Any]) -> None:
+def test_results_of_generated_meshes_are_close_to_the_input(name: str, method: Method[Any, Any]) -> None:
     require_sound(MADE[name](), method, 0.3, FREE_AT_RATIO[0.3])
 
 
 @each_method
 @pytest.mark.parametrize("name", SHARED)
-def test_shared_meshes_stay_near(shared_data, name: str, method: Method[Any, Any]) -> None:
+def test_results_of_shared_meshes_are_close_to_the_input(
+    shared_data, name: str, method: Method[Any, Any]
+) -> None:
     mesh = read_mesh(shared_data / "meshes" / name)
     for ratio, free_share in FREE_AT_RATIO.items():
         require_sound(mesh, method, ratio, free_share)
 
 
 @each_method
-@given(mesh=soups())
+@given(mesh=draw_soups())
 @settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.too_slow])
-def test_soups_stay_near(mesh: Mesh, method: Method[Any, Any]) -> None:
+def test_results_of_soups_are_close_to_the_input(mesh: Mesh, method: Method[Any, Any]) -> None:
     require_sound(mesh, method, 0.3, FREE_IN_SOUPS)
 
 
 @each_method
 @given(mesh=varied_meshes())
 @settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.too_slow])
-def test_meshes_with_anything_stay_near(mesh: Mesh, method: Method[Any, Any]) -> None:
+def test_results_of_meshes_with_any_attributes_are_close_to_the_input(
+    mesh: Mesh, method: Method[Any, Any]
+) -> None:
     require_sound(mesh, method, 0.3, FREE_IN_SOUPS)
 
 
 @pytest.mark.parametrize("field", ["vertices", "normals"])
-def test_the_check_notices_what_is_not_finite(field: str) -> None:
+def test_the_check_detects_values_that_are_not_finite(field: str) -> None:
     mesh = MESHES["ball"]()
     mesh = mesh.with_(normals=mesh.vertices.copy())
     array = getattr(mesh, field).copy()
@@ -99,7 +103,7 @@ def test_the_check_notices_what_is_not_finite(field: str) -> None:
         assert_within_bounds(mesh.with_(**{field: array}), mesh)
 
 
-def test_the_check_notices_a_vertex_outside() -> None:
+def test_the_check_detects_a_vertex_outside() -> None:
     mesh = MESHES["ball"]()
     moved = mesh.vertices.copy()
     farthest = int(moved[:, 0].argmax())

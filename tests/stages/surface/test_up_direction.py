@@ -65,7 +65,7 @@ def test_a_small_floor_is_better_than_cameras(seed: int) -> None:
 
 def test_a_small_shelf_is_no_floor() -> None:
     mesh = make_room(0.12)
-    # The first 441 vertices are those of the floor.
+    # The first 441 vertices are on the floor.
     vertices = mesh.vertices.copy()
     vertices[:441, 2] = 0.5
     assert estimate_up_from_surface(mesh.with_(vertices=vertices), np.array((0.0, 0.0, 1.0))) is None

@@ -216,7 +216,7 @@ def test_texels_beyond_a_border_show_the_border():
 @pytest.mark.slow
 @pytest.mark.parametrize("scale", [1e-2, 1e-4])
 def test_a_much_smaller_original_needs_no_large_image(scale):
-    """A triangle of 1 m once got 16 million texels of 16 samples for the few colours of a tiny sphere."""
+    """Earlier, a triangle of 1 m got 16 million texels for the few colours of a tiny sphere."""
     original = ball()
     small = original.with_(vertices=original.vertices * scale)
     baked = bake((np.eye(3), np.array([[0, 1, 2]])), small)

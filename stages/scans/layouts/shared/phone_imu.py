@@ -24,7 +24,7 @@ _MAX_TIME_S = 1 << 32
 
 
 def read_phone_accelerometer(path: Path) -> Accelerometer | None:
-    """Read the accelerometer of imu.csv, or return None if there is none."""
+    """Read the accelerometer of imu.csv; None if the file does not exist."""
     if not path.is_file():
         return None
     lines = list(documents.iterate_lines(path))

@@ -70,7 +70,7 @@ RIGS = {
 
 
 @pytest.mark.parametrize("name", RIGS)
-def test_so_is_a_rig(tmp_path, name):
+def test_a_rig_for_larger_images_is_scaled_and_reported(tmp_path, name):
     (tmp_path / name).write_text(json.dumps(RIGS[name]))
     with collecting() as told:
         rig = read_rig(tmp_path / name, 32, 24)

@@ -100,7 +100,7 @@ def test_damaged_camera_files_are_reported(scan_folder, text, message):
         read_scan(scan_folder)
 
 
-def test_two_camera_files_are_one_too_many(scan_folder):
+def test_two_camera_files_are_ambiguous(scan_folder):
     (scan_folder / "b_par.txt").write_text(PAR)
     with pytest.raises(InputError, match="the folder has 2"):
         read_scan(scan_folder)

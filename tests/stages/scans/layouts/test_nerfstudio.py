@@ -300,7 +300,7 @@ def test_single_views_in_another_unit(scan_folder, tiny):
     tiny.assert_views(read_scan(scan_folder, ScanParams(depth_scale=1000, poses="poses.txt")))
 
 
-def test_single_views_each_of_its_size(scan_folder, tiny):
+def test_single_views_can_differ_in_size(scan_folder, tiny):
     """Images reduced after camera estimation are used; a cropped image is skipped."""
     tiny.dotted_file(scan_folder / "images" / "10.png", 1)
     write(scan_folder, without_depth(tiny))

@@ -53,7 +53,7 @@ def test_pairs_side_by_side_in_one_folder(scan_folder, tiny):
     assert_known_pixels(scan, tiny)
 
 
-def test_a_rig_with_half_of_its_calibration(shared_data):
+def test_an_incomplete_calibration_of_a_rig_is_reported(shared_data):
     folder = shared_data / "stereo" / "opencv_chessboard_rig"
     scan = read_scan(folder, complete=False)
     assert len(scan.frames) == 13

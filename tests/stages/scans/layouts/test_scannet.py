@@ -48,7 +48,7 @@ def test_known_points_come_out_in_the_world(scan_folder, tiny):
         np.testing.assert_allclose(tiny.seen(frame), point, atol=1e-6)
 
 
-def test_z_is_up_in_the_data_set_but_not_in_others_of_its_form(scan_folder, tmp_path):
+def test_z_is_up_only_in_original_scannet_folders(scan_folder, tmp_path):
     assert read_scan(scan_folder).up is None
     (scan_folder / "scene0000_00.txt").touch()
     assert read_scan(scan_folder).up.source == "layout scannet: z up"

@@ -84,7 +84,7 @@ def test_the_row_is_the_frame_of_the_video_and_the_number_that_of_the_depth(scan
     assert read_color(scan.frames[1])[17 * FACTOR + 4, 26 * FACTOR + 4, 0] > 200
 
 
-def test_depth_as_arrays_is_in_millimetres_too(scan_folder, tiny):
+def test_depth_in_arrays_is_in_millimetres(scan_folder, tiny):
     for number in (0, 1):
         (scan_folder / "depth" / f"{number:06d}.png").unlink()
         np.save(scan_folder / "depth" / f"{number:06d}.npy", np.full((24, 32), 2000, np.uint16))

@@ -38,7 +38,7 @@ def test_the_single_frame_is_the_world(scan_folder, tiny):
     assert any("the only frame has no pose" in text for text in map(str, scan.diagnostics))
 
 
-def test_values_beyond_eight_metres_come_back_too(scan_folder):
+def test_values_beyond_eight_metres_are_read(scan_folder):
     write_rotated(scan_folder / "depth" / "0001170-000039188214.png", 9001)
     np.testing.assert_allclose(read_depth(read_scan(scan_folder).frames[0])[5, 5], 9.001)
 

@@ -1,4 +1,4 @@
-"""Cameras by name: nominal focal lengths are near those of calibrated devices."""
+"""Cameras by name: nominal focal lengths are close to calibrated focal lengths."""
 
 import re
 

@@ -1,4 +1,4 @@
-"""Bounds given to simplify are proven: chosen by default, never exceeded, and said when they cannot be."""
+"""Proven bounds of simplify: used by default, never exceeded, and reported if they cannot be proven."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ from scanloom.stages.surface.topology import topology
 pytestmark = pytest.mark.slow
 
 
-def hills(n: int = 40) -> Mesh:
-    """A smoothly coloured height field over the unit square with 2 n² triangles."""
+def make_hills(n: int = 40) -> Mesh:
+    """Make a smoothly coloured height field over the unit square with 2 n² triangles."""
     y, x = np.mgrid[0 : n + 1, 0 : n + 1] / n
     z = 0.1 * np.sin(7 * x) * np.cos(5 * y)
     a = (np.arange(n)[:, None] * (n + 1) + np.arange(n)).ravel()
@@ -39,22 +39,22 @@ def hills(n: int = 40) -> Mesh:
     return Mesh(vertices, triangles.astype(np.int32), colors=np.rint(colors).astype(np.uint8))
 
 
-def two_sheets_that_touch() -> Mesh:
-    """A black sheet and a white one at the same place: which colour is nearest, nobody can say."""
-    mesh = hills(6)
+def make_coincident_sheets() -> Mesh:
+    """Make a black and a white sheet at the same position; the colour of the nearest point is ambiguous."""
+    mesh = make_hills(6)
     both = np.concatenate([mesh.triangles, mesh.triangles + len(mesh.vertices)])
     black, white = (np.full((len(mesh.vertices), 3), level, np.uint8) for level in (0, 255))
     return Mesh(np.tile(mesh.vertices, (2, 1)), both, colors=np.concatenate([black, white]))
 
 
 def assert_bounds_hold(result: SimplificationResult, mesh: Mesh, samples: int = 100_000) -> None:
-    """Every vertex of both surfaces, and samples between, are within the proven bounds."""
+    """Check that vertices and samples of both surfaces are within the proven bounds."""
     assert result.details.shape_bound_m is not None
     measured = compare(mesh, result.mesh, samples=samples)
     assert measured.symmetric.maximum <= result.details.shape_bound_m
     if result.details.color_bound_levels is not None:
         assert measured.color is not None
-        # compare looks at one channel at a time; the bound is on all three together.
+        # compare uses the largest difference of a channel, the bound is on the Euclidean difference.
         assert measured.color.maximum <= result.details.color_bound_levels
 
 
@@ -73,19 +73,21 @@ def assert_bounds_hold(result: SimplificationResult, mesh: Mesh, samples: int = 
         ({}, "jia01"),
     ],
 )
-def test_bounds_are_proven_ones_unless_jia01_is_wanted(given: dict[str, Any], method: str) -> None:
+def test_bounds_select_certified_unless_options_of_jia01_are_given(
+    given: dict[str, Any], method: str
+) -> None:
     assert select_method(resolve(SimplifyParams, None, given)).name == method
-    assert simplify(hills(8), **given).method == method
+    assert simplify(make_hills(8), **given).method == method
 
 
 @pytest.mark.parametrize(("shape", "color"), [(0.003, 12.0), (0.003, None), (None, 12.0), (0.02, 60.0)])
-def test_no_point_exceeds_what_is_proven(shape: float | None, color: float | None) -> None:
-    mesh = hills()
+def test_no_point_exceeds_the_proven_bounds(shape: float | None, color: float | None) -> None:
+    mesh = make_hills()
     result = simplify(mesh, max_shape=shape, max_color=color)
     assert (result.details.proven, result.stopped_by) == (True, "bounds")
     assert len(result.mesh.triangles) < 0.5 * len(mesh.triangles)
     assert topology(result.mesh).boundary_loops == 1
-    # Colours alone do not hold a shape together.
+    # A bound on colour gets a default bound on shape, because colours alone do not limit the shape.
     diagonal = np.linalg.norm(np.ptp(mesh.vertices, axis=0))
     assert result.details.max_shape_m == pytest.approx(0.005 * diagonal if shape is None else shape)
     assert (result.details.shape_bound_m or np.inf) <= (result.details.max_shape_m or 0)
@@ -95,7 +97,7 @@ def test_no_point_exceeds_what_is_proven(shape: float | None, color: float | Non
 
 
 def test_each_triangle_has_its_own_bounds() -> None:
-    mesh = hills()
+    mesh = make_hills()
     result = simplify(mesh, max_shape=0.01, max_color=30)
     shape, color = result.details.shape_bound, result.details.color_bound
     assert shape is not None
@@ -117,8 +119,8 @@ def test_each_triangle_has_its_own_bounds() -> None:
     assert (np.linalg.norm(levels - there, axis=1) <= color[of]).all()
 
 
-def test_down_to_a_number_of_triangles_but_never_beyond_the_bounds() -> None:
-    mesh = hills()
+def test_a_triangle_count_never_exceeds_the_bounds() -> None:
+    mesh = make_hills()
     bounds = {"max_shape": 0.003, "max_color": 12.0}
     alone = simplify(mesh, **bounds)
     left = len(alone.mesh.triangles)
@@ -137,23 +139,23 @@ def test_down_to_a_number_of_triangles_but_never_beyond_the_bounds() -> None:
     assert (nothing.stopped_by, nothing.collapses, len(nothing.mesh.triangles)) == ("triangles", 0, 3200)
 
 
-def test_a_number_with_bounds_has_the_same_bytes_on_any_number_of_threads() -> None:
-    mesh = hills(120)
+def test_a_count_within_bounds_does_not_depend_on_the_thread_count() -> None:
+    mesh = make_hills(120)
     one, two = (simplify(mesh, ratio=0.3, max_shape=0.01, threads=threads) for threads in (1, 2))
     assert one.stopped_by == "triangles"
     assert one.mesh.vertices.tobytes() == two.mesh.vertices.tobytes()
     assert one.mesh.triangles.tobytes() == two.mesh.triangles.tobytes()
 
 
-def test_bounds_of_triangles_are_close_if_asked_for() -> None:
-    mesh = hills()
+def test_tight_bounds_of_triangles_are_tight() -> None:
+    mesh = make_hills()
     bounds = {"max_shape": 0.01, "max_color": 30.0}
     loose, close = (simplify(mesh, certified={"tight_bounds": close}, **bounds) for close in (False, True))
     assert close.mesh.vertices.tobytes() == loose.mesh.vertices.tobytes()
     assert loose.details.shape_bound is not None
     assert close.details.shape_bound is not None
     assert close.details.color_bound is not None
-    # As close as a proof of its own has them, and no wider than what was asked for.
+    # They equal the bounds of a separate certification, limited by the requested bounds.
     own = certify(close.mesh, mesh)
     np.testing.assert_allclose(close.details.shape_bound, np.minimum(own.shape_bound, 0.01), rtol=1e-6)
     np.testing.assert_allclose(close.details.color_bound, np.minimum(own.color_bound, 30.0), rtol=1e-6)
@@ -167,7 +169,7 @@ def test_bounds_of_triangles_are_close_if_asked_for() -> None:
 
 
 def test_a_flat_sheet_of_one_colour_keeps_little_more_than_its_corners() -> None:
-    mesh = hills(20)
+    mesh = make_hills(20)
     plain = Mesh(mesh.vertices * (1, 1, 0), mesh.triangles, colors=np.full_like(mesh.vertices, 77, np.uint8))
     result = simplify(plain, max_shape=1e-4, max_color=0)
     assert result.details.proven
@@ -177,8 +179,8 @@ def test_a_flat_sheet_of_one_colour_keeps_little_more_than_its_corners() -> None
     assert_bounds_hold(result, plain)
 
 
-def test_a_mesh_without_colours_has_bounds_on_shape_only() -> None:
-    mesh = hills().with_(colors=None)
+def test_a_mesh_without_colours_has_only_shape_bounds() -> None:
+    mesh = make_hills().with_(colors=None)
     result = simplify(mesh, max_shape=0.01)
     assert result.details.proven
     assert result.mesh.colors is None
@@ -189,8 +191,8 @@ def test_a_mesh_without_colours_has_bounds_on_shape_only() -> None:
         simplify(mesh, max_shape=0.01, max_color=9)
 
 
-def test_what_is_written_and_read_is_within_the_bounds_still(tmp_path: Path) -> None:
-    mesh = hills()
+def test_bounds_hold_after_writing_single_precision(tmp_path: Path) -> None:
+    mesh = make_hills()
     result = simplify(mesh, max_shape=0.004, max_color=15)
     single = result.mesh.with_(vertices=result.mesh.vertices.astype(np.float32).astype(np.float64))
     write_mesh(tmp_path / "light.ply", single)
@@ -198,8 +200,8 @@ def test_what_is_written_and_read_is_within_the_bounds_still(tmp_path: Path) -> 
     assert certify(stored, mesh, slack=0.0, max_shape=0.004, max_color=15).within_limits
 
 
-def test_importance_divides_the_bounds_and_locked_vertices_stay() -> None:
-    mesh = hills()
+def test_importance_divides_the_bounds_and_locked_vertices_are_kept() -> None:
+    mesh = make_hills()
     left = Box((0, 0, -1), (0.5, 1, 1), importance=8)
     ball = Sphere((0.8, 0.8, 0), 0.15, lock=True)
     result = simplify(mesh, max_shape=0.02, regions=(left, ball))
@@ -216,8 +218,8 @@ def test_importance_divides_the_bounds_and_locked_vertices_stay() -> None:
     np.testing.assert_array_equal(result.mesh.colors[at], mesh.colors[locked])
 
 
-def test_what_cannot_be_proven_is_said() -> None:
-    mesh = two_sheets_that_touch()
+def test_unproven_bounds_are_reported() -> None:
+    mesh = make_coincident_sheets()
     result = simplify(mesh, max_shape=0.01, max_color=20)
     assert (result.details.proven, result.stopped_by) == (False, "unproven")
     assert min(result.details.unproven_triangles or ()) > 0
@@ -230,8 +232,8 @@ def test_what_cannot_be_proven_is_said() -> None:
     assert_bounds_hold(result, mesh, 10_000)
 
 
-def test_when_stopped_early_what_is_proven_is_proven_of_what_there_is() -> None:
-    mesh = hills(200)
+def test_an_early_stop_proves_bounds_for_the_current_mesh() -> None:
+    mesh = make_hills(200)
     result = simplify(mesh, max_shape=0.01, max_color=40, progress=lambda *_: False)
     assert result.stopped_by == "request"
     assert len(result.mesh.triangles) < len(mesh.triangles)
@@ -241,15 +243,15 @@ def test_when_stopped_early_what_is_proven_is_proven_of_what_there_is() -> None:
     assert_bounds_hold(result, mesh)
 
 
-def test_the_texture_is_left_out_with_a_note() -> None:
-    mesh = hills(8)
+def test_the_texture_is_dropped_with_a_diagnostic() -> None:
+    mesh = make_hills(8)
     uvs = np.zeros((len(mesh.triangles), 3, 2))
     result = simplify(mesh.with_(texture=Texture(uvs, np.full(len(uvs), -1, np.int32))), max_shape=0.01)
     assert result.mesh.texture is None
     assert "discards the texture" in str(result.diagnostics[0])
 
 
-def test_nothing_to_simplify() -> None:
+def test_an_empty_mesh_is_simplified() -> None:
     empty = simplify((np.zeros((0, 3)), np.zeros((0, 3), np.int32)), max_shape=0.1)
     assert empty.mesh.triangles.shape == (0, 3)
     assert (empty.details.proven, empty.stopped_by) == (True, "bounds")
@@ -257,7 +259,7 @@ def test_nothing_to_simplify() -> None:
 
 
 def test_metrics_are_plain_numbers_with_units() -> None:
-    metrics = simplify(hills(20), max_shape=0.01, max_color=30).to_dict()
+    metrics = simplify(make_hills(20), max_shape=0.01, max_color=30).to_dict()
     assert json.loads(json.dumps(metrics)) == metrics
     assert metrics["method"] == "certified"
     proven = metrics["details"]
@@ -268,7 +270,7 @@ def test_metrics_are_plain_numbers_with_units() -> None:
 
 
 @pytest.mark.parametrize("name", ["sceaux_mvs_scene_mesh.ply", "stanford-bunny.obj", "colored_airplane.ply"])
-def test_real_meshes_keep_their_bounds(shared_data: Path, name: str) -> None:
+def test_bounds_of_real_meshes_hold(shared_data: Path, name: str) -> None:
     mesh = clean(read_mesh(shared_data / "meshes" / name)).mesh
     bound = 1e-3 * float(np.linalg.norm(np.ptp(mesh.vertices, axis=0)))
     result = simplify(mesh, max_shape=bound, max_color=None if mesh.colors is None else 20.0)
@@ -278,8 +280,8 @@ def test_real_meshes_keep_their_bounds(shared_data: Path, name: str) -> None:
     assert topology(result.mesh).euler == topology(mesh).euler
 
 
-@pytest.mark.parametrize("mesh", [hills(), two_sheets_that_touch()], ids=["hills", "sheets"])
-def test_without_a_bound_on_colours_the_largest_difference_is_proven_of_all(mesh: Mesh) -> None:
+@pytest.mark.parametrize("mesh", [make_hills(), make_coincident_sheets()], ids=["hills", "sheets"])
+def test_without_a_colour_bound_the_maximum_difference_is_proven(mesh: Mesh) -> None:
     light = simplify(mesh, max_shape=0.003)
     found = light.details
     assert found.proven
@@ -295,17 +297,17 @@ def test_without_a_bound_on_colours_the_largest_difference_is_proven_of_all(mesh
     assert (close.details.color_bound <= 1.05 * found.color_bound).all()
 
 
-def test_colours_are_never_farther_apart_than_the_farthest_two() -> None:
-    mesh = hills()
+def test_colour_bounds_never_exceed_the_largest_difference_of_two_colours() -> None:
+    mesh = make_hills()
     grey = mesh.with_(colors=np.full_like(mesh.colors, 90))
     assert simplify(grey, max_shape=0.003).details.color_bound_levels == 0
-    sheets = simplify(two_sheets_that_touch(), max_shape=0.003).details
+    sheets = simplify(make_coincident_sheets(), max_shape=0.003).details
     assert sheets.color_attained_levels <= sheets.color_bound_levels < 441.673
 
 
 @pytest.mark.parametrize("with_colors", [False, True])
 def test_looser_bounds_leave_fewer_triangles(with_colors: bool) -> None:
-    """Walls are exactly planar, so that single triangles span them; the box has noise."""
+    """Walls are exactly planar, so that few triangles cover them; the bump is noisy."""
     mesh = make_room(with_colors)
     counts = []
     for bound in (0.001, 0.002, 0.004, 0.008, 0.016):
@@ -318,13 +320,13 @@ def test_looser_bounds_leave_fewer_triangles(with_colors: bool) -> None:
 
 
 def make_room(with_colors: bool) -> Mesh:
-    """Create two walls and a floor with a noisy bump, as one surface of 3 × 120² squares."""
+    """Make two walls and a floor with a noisy bump, as one surface of 3 × 120² squares."""
     side = 120
     rng = np.random.default_rng(0)
     u, v = (axis.ravel() / side for axis in np.meshgrid(np.arange(2 * side + 1), np.arange(side + 1)))
     bump = 0.1 * np.exp(-((u - 0.5) ** 2 + (v - 0.5) ** 2) / 0.005)
     noise = np.where(bump > 1e-4, 0.002 * rng.standard_normal(len(u)), 0.0)
-    # Bent along a line: the floor, and the wall.
+    # The surface is bent along a line, into floor and wall.
     points = np.stack([np.minimum(u, 1), v, np.maximum(u - 1, 0) + bump + noise], axis=1)
     row = 2 * side + 1
     corner = (np.arange(side)[:, None] * row + np.arange(2 * side)).ravel()
@@ -334,7 +336,7 @@ def make_room(with_colors: bool) -> Mesh:
             np.stack([corner, corner + row + 1, corner + row], axis=1),
         ]
     ).astype(np.int32)
-    # A hole with a noisy border, where triangles of the result may leave the input.
+    # A hole with a noisy boundary, where the result may be off the input surface.
     radius = np.hypot(u - 0.3, v - 0.7) + 0.02 * rng.standard_normal(len(u))
     kept = (radius[triangles] > 0.1).all(axis=1)
     colors = np.repeat((127 + 100 * np.sin(40 * u) * np.cos(37 * v))[:, None], 3, axis=1).astype(np.uint8)

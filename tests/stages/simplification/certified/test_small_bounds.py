@@ -11,8 +11,8 @@ from scanloom.stages.simplification.simplify import simplify
 from scanloom.stages.surface.mesh import Mesh
 
 
-def thin_disc(size: float, thickness: float, offset: float = 0.0) -> Mesh:
-    """A sheet of this size in metres, and noise of this ratio of it, this many sizes from the origin."""
+def make_thin_sheet(size: float, thickness: float, offset: float = 0.0) -> Mesh:
+    """Make a sheet of this size in metres; thickness (noise) and offset are relative to the size."""
     mesh = sheet(12).with_(colors=None)
     noise = thickness * np.random.default_rng(3).standard_normal(len(mesh.vertices))
     flat = np.column_stack([mesh.vertices[:, :2], noise])
@@ -24,7 +24,7 @@ def thin_disc(size: float, thickness: float, offset: float = 0.0) -> Mesh:
 )
 @pytest.mark.parametrize("ratio", [1e-2, 1e-6, 1e-9])
 def test_a_bound_is_proven_or_unmet(size: float, offset: float, ratio: float) -> None:
-    mesh = thin_disc(size, 0.5 * ratio, offset)
+    mesh = make_thin_sheet(size, 0.5 * ratio, offset)
     light = simplify(mesh, method="certified", max_shape=ratio * size)
     real = certify(mesh, light.mesh, slack=1e-13 * size).shape_attained_m
     assert real <= light.details.shape_bound_m

@@ -1,4 +1,4 @@
-"""The paper's second claim: vertices come to be evenly distributed, at no larger error."""
+"""Evenness of edge lengths, the second claim of the paper, at no larger error."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ UNLIMITED = {"resolution": 100.0}
 
 
 def make_uneven_sheet(seed: int, side: int = 40) -> Mesh:
-    """A bumpy sheet whose vertices crowd at one corner, with vertices off their grid."""
+    """Make a bumpy sheet with dense vertices at one corner, and vertices off their grid."""
     rng = np.random.default_rng(seed)
     at = np.linspace(0, 1, side + 1) ** rng.uniform(1.0, 1.6)
     x, y = np.meshgrid(at, at)
@@ -37,20 +37,20 @@ def make_uneven_sheet(seed: int, side: int = 40) -> Mesh:
 
 
 def compute_variation(mesh: Mesh) -> float:
-    """The standard deviation of edge lengths over their mean."""
+    """Compute the standard deviation of edge lengths, relative to their mean."""
     edges = np.unique(np.sort(mesh.triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1), axis=0)
     lengths = np.linalg.norm(np.subtract(*mesh.vertices[edges.T]), axis=1)
     return float(lengths.std() / lengths.mean())
 
 
 def measure_distance(mesh: Mesh, simplified: Mesh) -> float:
-    """RMS of the two-sided distance in metres."""
+    """Measure the RMS of the two-sided distance, metres."""
     return compare(mesh, simplified, samples=20_000).symmetric.rms
 
 
 @settings(max_examples=6, deadline=None)
 @given(seed=st.integers(0, 2**31))
-def test_edges_are_more_even_than_without_splits(seed: int) -> None:
+def test_splits_make_edges_more_even(seed: int) -> None:
     mesh = make_uneven_sheet(seed)
     even = simplify(mesh, method="jia01")
     limits = even.details
@@ -59,7 +59,7 @@ def test_edges_are_more_even_than_without_splits(seed: int) -> None:
     bounds: dict[str, Any] = {"max_shape": limits.max_shape_m, "max_color": limits.max_color_levels}
     count = len(even.mesh.triangles)
     uneven = simplify(mesh, method="jia01", triangles=count, jia01=UNLIMITED, **bounds)
-    # The same bounds may stop the other one before.
+    # The other run may stop earlier at the same bounds.
     assert len(uneven.mesh.triangles) >= count - 1
     assert compute_variation(even.mesh) <= 0.9 * compute_variation(uneven.mesh)
     assert measure_distance(mesh, even.mesh) <= 1.1 * measure_distance(mesh, uneven.mesh)
@@ -78,7 +78,7 @@ def test_edges_are_more_even_at_a_given_count(seed: int, ratio: float) -> None:
     assert measure_distance(mesh, even.mesh) <= measure_distance(mesh, uneven.mesh)
 
 
-def test_flat_surface_needs_few_triangles() -> None:
+def test_a_flat_surface_needs_few_triangles() -> None:
     """The resolution grows with the area that a few triangles can cover."""
     side = np.linspace(0, 1, 41)
     x, y = np.meshgrid(side, side)

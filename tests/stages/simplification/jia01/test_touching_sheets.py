@@ -1,4 +1,4 @@
-"""Splits where sheets touch: all sheets get the same vertices, so that no T-junction appears."""
+"""Splits where sheets touch: all sheets get the same vertices, so that there are no T-junctions."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from scanloom import Mesh, simplify
 def make_book(
     along: NDArray[np.float64], pages: int, columns: int, rng: np.random.Generator, height: float
 ) -> Mesh:
-    """Bumpy pages that share one spine: the z axis at the positions `along`."""
+    """Make bumpy pages with a common spine: the z axis at the positions `along`."""
     spine = np.stack([0 * along, 0 * along, along], axis=1)
     vertices, triangles = [spine], []
     first = len(spine)
@@ -38,7 +38,7 @@ def make_book(
 
 
 def find_spine_edges(mesh: Mesh) -> dict[tuple[float, float], int]:
-    """Return the number of triangles at each edge on the z axis, by the heights of its ends."""
+    """Count the triangles at each edge on the z axis, by the heights of its ends."""
     on_axis = (mesh.vertices[:, :2] == 0).all(axis=1)
     counts: Counter[tuple[float, float]] = Counter()
     for triangle in mesh.triangles:
@@ -49,7 +49,7 @@ def find_spine_edges(mesh: Mesh) -> dict[tuple[float, float], int]:
     return counts
 
 
-def test_smallest_book_is_split_equally_on_all_pages() -> None:
+def test_the_smallest_book_is_split_equally_on_all_pages() -> None:
     points = np.array([[0, 0, 0], [0, 0, 1], [1, 0, 0.5], [-0.5, 0.9, 0.5], [-0.5, -0.9, 0.5]], float)
     book = Mesh(points, np.array([[0, 1, 2], [0, 1, 3], [0, 1, 4]], np.int32))
 
@@ -69,7 +69,7 @@ def test_smallest_book_is_split_equally_on_all_pages() -> None:
     resolution=st.floats(0.25, 3.0),
     height=st.sampled_from([0.0, 0.05]),
 )
-def test_pages_stay_joined_along_their_spine(
+def test_pages_stay_connected_along_their_spine(
     color: int | None, seed: int, pages: int, rows: int, resolution: float, height: float
 ) -> None:
     rng = np.random.default_rng(seed)
@@ -91,7 +91,7 @@ def test_pages_stay_joined_along_their_spine(
 
 
 def test_pages_are_simplified_although_their_spine_is_split() -> None:
-    """Parts of the split spine are no new contacts, for which the vertices around would be locked."""
+    """Parts of the split spine are not new contacts, whose neighbouring vertices would be locked."""
     book = make_book(np.arange(0, 40, 4.0), 3, 40, np.random.default_rng(5), 0.0)
 
     result = simplify(book, method="jia01", max_shape=0.5, jia01={"resolution": 3.5})

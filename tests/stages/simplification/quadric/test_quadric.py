@@ -1,4 +1,4 @@
-"""Simplification to a number of triangles: counts, topology, colours, repeatability."""
+"""Method quadric: triangle counts, topology, colours, repeatability."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ from scanloom.stages.surface.mesh_files import read_mesh
 from scanloom.stages.surface.topology import topology
 
 
-def normals(mesh: Mesh) -> NDArray[np.float64]:
+def compute_normals(mesh: Mesh) -> NDArray[np.float64]:
     a, b, c = (mesh.vertices[mesh.triangles[:, i]] for i in range(3))
     return np.cross(b - a, c - a)
 
 
-def squared(mesh: Mesh, light: Mesh) -> tuple[float, float]:
-    """RMS distance in metres, and RMS difference of colours in levels."""
+def measure_errors(mesh: Mesh, light: Mesh) -> tuple[float, float]:
+    """Measure the RMS distance in metres and the RMS colour difference in levels."""
     measured = compare(mesh, light, samples=40_000)
     assert measured.color is not None
     return measured.symmetric.rms, measured.color.rmse
@@ -47,7 +47,7 @@ def squared(mesh: Mesh, light: Mesh) -> tuple[float, float]:
 @pytest.mark.parametrize("fit", [True, False], ids=["fitted", "plain"])
 @pytest.mark.parametrize("triangles", [60, 301, 1200])
 @pytest.mark.parametrize("name", MESHES)
-def test_the_count_is_met_and_topology_kept(name: str, triangles: int, fit: bool) -> None:
+def test_the_count_is_reached_and_topology_kept(name: str, triangles: int, fit: bool) -> None:
     mesh = MESHES[name]()
     result = simplify(mesh, triangles=triangles, fit=fit)
     assert result.method == "quadric"
@@ -56,17 +56,17 @@ def test_the_count_is_met_and_topology_kept(name: str, triangles: int, fit: bool
     assert_same_topology(result.mesh, mesh)
 
 
-def test_ratio_is_a_count() -> None:
+def test_a_ratio_is_converted_to_a_count() -> None:
     mesh = sheet()
     by_ratio, by_count = simplify(mesh, ratio=0.125), simplify(mesh, triangles=400)
     np.testing.assert_array_equal(by_ratio.mesh.vertices, by_count.mesh.vertices)
 
 
 @pytest.mark.parametrize("name", MESHES)
-def test_as_few_triangles_as_the_topology_needs(name: str) -> None:
+def test_the_smallest_mesh_is_limited_by_topology(name: str) -> None:
     mesh = MESHES[name]()
     result = simplify(mesh, triangles=1)
-    # A disc can shrink to the single triangle that was asked for.
+    # A disc can shrink to the single requested triangle.
     assert result.stopped_by == ("triangles" if len(result.mesh.triangles) == 1 else "bounds")
     assert len(result.mesh.triangles) < 60
     if result.stopped_by == "bounds":
@@ -74,35 +74,35 @@ def test_as_few_triangles_as_the_topology_needs(name: str) -> None:
     assert_same_topology(result.mesh, mesh)
 
 
-def test_too_few_triangles_for_many_holes_are_warned_of() -> None:
+def test_a_count_too_small_for_the_holes_is_reported() -> None:
     mesh = sheet()
     square = np.floor(mesh.vertices[mesh.triangles].mean(axis=1)[:, :2] * 40)
     torn = Mesh(mesh.vertices, mesh.triangles[(square % 4 != 1).any(axis=1)], colors=mesh.colors)
     loops = topology(torn).boundary_loops
     assert loops > 90
 
-    def crowded(found: SimplificationResult[Any]) -> list[str]:
+    def list_warnings(found: SimplificationResult[Any]) -> list[str]:
         return [str(one) for one in found.diagnostics if one.code == SIMPLIFY_EDGES_BLOCKED.name]
 
-    (warning,) = crowded(simplify(torn, triangles=4 * loops))
+    (warning,) = list_warnings(simplify(torn, triangles=4 * loops))
     assert "holes" in warning
-    assert crowded(simplify(torn, ratio=0.5)) == []
-    assert crowded(simplify(torn, max_shape=1.0)) == []
+    assert list_warnings(simplify(torn, ratio=0.5)) == []
+    assert list_warnings(simplify(torn, max_shape=1.0)) == []
     assert simplify(mesh, triangles=4 * loops).diagnostics == ()
 
 
 @pytest.mark.parametrize("ratio", [0.5, 0.1, 0.02])
-def test_no_triangle_turns_over(ratio: float) -> None:
+def test_no_triangle_flips(ratio: float) -> None:
     mesh = sheet(noise=0.0)
-    assert (normals(simplify(mesh, ratio=ratio).mesh)[:, 2] > 0).all()
+    assert (compute_normals(simplify(mesh, ratio=ratio).mesh)[:, 2] > 0).all()
     light = simplify(ball(), ratio=ratio).mesh
     outwards = light.vertices[light.triangles].mean(axis=1)
-    assert (np.einsum("ij,ij->i", normals(light), outwards) > 0).all()
+    assert (np.einsum("ij,ij->i", compute_normals(light), outwards) > 0).all()
 
 
 @pytest.mark.parametrize("region", [40, 300, 2000, 1_000_000])
 @pytest.mark.parametrize("name", MESHES)
-def test_regions_of_any_size_keep_the_mesh_whole(name: str, region: int) -> None:
+def test_regions_of_any_size_give_a_sound_mesh(name: str, region: int) -> None:
     mesh = MESHES[name]()
     assert mesh.colors is not None
     running = _kernels.RunSettings(target_triangles=200, region_triangles=region)
@@ -132,7 +132,7 @@ def test_regions_of_any_size_keep_the_mesh_whole(name: str, region: int) -> None
     locked=st.floats(0, 0.5),
     importance=st.booleans(),
 )
-def test_random_meshes(
+def test_random_meshes_keep_topology_locks_and_record(
     seed: int,
     count: int,
     gone: float,
@@ -168,7 +168,7 @@ def test_random_meshes(
         assert result.mesh.colors is not None
         np.testing.assert_array_equal(result.mesh.colors[at], mesh.colors[lock])
     if roughness == 0:
-        assert (normals(result.mesh)[:, 2] > 0).all()
+        assert (compute_normals(result.mesh)[:, 2] > 0).all()
         np.testing.assert_allclose(result.mesh.vertices[:, 2], 0, atol=1e-12)
     assert result.record is not None
     replayed = result.record.replay(fit=result.details.fitted)
@@ -179,71 +179,77 @@ def test_random_meshes(
 # -- error -----------------------------------------------------------------------------------------------
 
 
-def test_what_is_flat_and_of_even_colour_costs_nothing() -> None:
+def test_a_flat_sheet_with_linear_colours_has_no_error() -> None:
     mesh = sheet(noise=0.0, height=0.0)
     assert mesh.colors is not None
     even = mesh.with_(colors=mesh.colors * np.array([1, 1, 0], np.uint8))
     light = simplify(even, triangles=2).mesh
     assert len(light.triangles) == 2
-    shape, color = squared(even, light)
+    shape, color = measure_errors(even, light)
     assert shape < 1e-6
-    assert color < 1  # the rounding of eight bits
+    assert color < 1  # rounding to eight bits
 
 
-def test_a_colour_edge_is_seen_on_a_flat_wall() -> None:
+def test_a_colour_edge_on_a_flat_wall_is_kept() -> None:
     wall = sheet(60, noise=0.0, height=0.0)
     blind, seeing = (simplify(wall, triangles=60, attribute_scale=scale).mesh for scale in (0.0, 1e-4))
-    assert squared(wall, seeing)[1] < 0.25 * squared(wall, blind)[1]
+    assert measure_errors(wall, seeing)[1] < 0.25 * measure_errors(wall, blind)[1]
 
 
-def test_fitting_brings_shape_and_colour_closer() -> None:
+def test_fitting_reduces_shape_and_colour_errors() -> None:
     mesh = sheet(80)
     plain, fitted = (simplify(mesh, ratio=0.05, fit=fit) for fit in (False, True))
     assert (plain.details.fitted, fitted.details.fitted) == (False, True)
     np.testing.assert_array_equal(plain.mesh.triangles, fitted.mesh.triangles)
-    assert squared(mesh, fitted.mesh)[0] < squared(mesh, plain.mesh)[0]
-    assert squared(mesh, fitted.mesh)[1] < squared(mesh, plain.mesh)[1]
+    assert measure_errors(mesh, fitted.mesh)[0] < measure_errors(mesh, plain.mesh)[0]
+    assert measure_errors(mesh, fitted.mesh)[1] < measure_errors(mesh, plain.mesh)[1]
 
 
-def by_open3d(mesh: Mesh, triangles: int) -> Mesh:
+def simplify_with_open3d(mesh: Mesh, triangles: int) -> Mesh:
     return as_mesh(to_open3d_legacy(mesh).simplify_quadric_decimation(triangles))
 
 
 @pytest.mark.parametrize("name", ["sheet", "ball", "ring"])
-def test_closer_in_shape_and_colour_than_another_quadric_simplifier(name: str) -> None:
+def test_errors_are_smaller_than_those_of_open3d(name: str) -> None:
     mesh = MESHES[name]()
     light = simplify(mesh, ratio=0.1).mesh
-    ours, theirs = squared(mesh, light), squared(mesh, by_open3d(mesh, len(light.triangles)))
+    ours, theirs = (
+        measure_errors(mesh, light),
+        measure_errors(mesh, simplify_with_open3d(mesh, len(light.triangles))),
+    )
     assert ours[0] < theirs[0]
     assert ours[1] < theirs[1]
 
 
 @pytest.mark.parametrize("name", ["fandisk.obj", "camelhead.off", "rocker-arm.obj"])
-def test_colours_cost_little_shape_by_default(shared_data: Path, name: str) -> None:
+def test_colours_cost_little_shape_error_by_default(shared_data: Path, name: str) -> None:
     mesh = clean(read_mesh(shared_data / "meshes" / name)).mesh
     at = 40 * mesh.vertices / np.ptp(mesh.vertices, axis=0).max()
     mesh = mesh.with_(colors=(128 + 120 * np.sin(at) * np.cos(2 * at[:, ::-1])).astype(np.uint8))
     weights = None, 0.0
     best = [simplify(mesh, ratio=0.1, attribute_scale=weight).mesh for weight in weights]
     found = [compare(mesh, light, samples=50_000) for light in best]
-    # Tried for a fifth, without the fit and at the vertices.
+    # Measured ratio: 1.2, without the fit and at vertices.
     assert found[0].symmetric.rms < 1.3 * found[1].symmetric.rms
     errors = [one.color.rmse for one in found if one.color is not None]
     assert errors[0] < 0.9 * errors[1]
 
 
-def test_closer_on_the_horse_and_in_the_kitchen(shared_data: Path) -> None:
+def test_errors_on_the_horse_and_the_kitchen_are_smaller_than_those_of_open3d(shared_data: Path) -> None:
     horse = clean(read_mesh(shared_data / "meshes" / "horse.ply")).mesh
     light = simplify(horse, ratio=0.1).mesh
     assert_same_topology(light, horse)
-    theirs = by_open3d(horse, len(light.triangles))
+    theirs = simplify_with_open3d(horse, len(light.triangles))
     ours_rms, their_rms = (compare(horse, m, samples=200_000).symmetric.rms for m in (light, theirs))
     assert ours_rms < 0.75 * their_rms
 
     kitchen = clean(read_mesh(shared_data / "meshes" / "redkitchen_fused_vertexcolor.ply")).mesh
     light = simplify(kitchen, ratio=0.1).mesh
     assert_same_topology(light, kitchen)
-    ours, other = squared(kitchen, light), squared(kitchen, by_open3d(kitchen, len(light.triangles)))
+    ours, other = (
+        measure_errors(kitchen, light),
+        measure_errors(kitchen, simplify_with_open3d(kitchen, len(light.triangles))),
+    )
     assert ours[0] < other[0]
     assert ours[1] < other[1]
 
@@ -251,7 +257,7 @@ def test_closer_on_the_horse_and_in_the_kitchen(shared_data: Path) -> None:
 # -- colours ---------------------------------------------------------------------------------------------
 
 
-def test_one_colour_stays_one_colour() -> None:
+def test_a_single_colour_is_kept() -> None:
     mesh = sheet()
     grey = mesh.with_(colors=np.full((len(mesh.vertices), 3), 77, np.uint8))
     assert np.unique(simplify(grey, ratio=0.05).mesh.colors).tolist() == [77]
@@ -263,11 +269,11 @@ def test_colours_stay_in_range() -> None:
     loud = mesh.with_(colors=(255 * random.integers(0, 2, (len(mesh.vertices), 3))).astype(np.uint8))
     colors = simplify(loud, ratio=0.1).mesh.colors
     assert colors is not None
-    # Out of range, a value would have wrapped around; the mean of black and white is grey.
+    # An overflow would have wrapped around; the mean of black and white is grey.
     assert 100 < colors.mean() < 155
 
 
-def test_colours_do_not_matter_where_they_weigh_nothing() -> None:
+def test_colours_without_weight_have_no_effect() -> None:
     mesh = sheet()
     colored = simplify(mesh, ratio=0.1, attribute_scale=0.0)
     plain = simplify(mesh.with_(colors=None), ratio=0.1)
@@ -278,7 +284,7 @@ def test_colours_do_not_matter_where_they_weigh_nothing() -> None:
 # -- repeatability ---------------------------------------------------------------------------------------
 
 
-def test_same_bytes_on_any_number_of_threads() -> None:
+def test_the_bytes_do_not_depend_on_the_thread_count() -> None:
     mesh = sheet(150)  # several patches
     one, *others = [simplify(mesh, ratio=0.1, threads=threads) for threads in (1, 1, 2, 3)]
     assert one.mesh.colors is not None
@@ -298,7 +304,7 @@ def test_far_from_the_origin_only_rounding_differs() -> None:
     away = simplify(mesh.with_(vertices=mesh.vertices + 1e6), ratio=0.1)
     np.testing.assert_array_equal(away.mesh.triangles, here.mesh.triangles)
     np.testing.assert_array_equal(away.vertex_source, here.vertex_source)
-    # Coordinates are rounded to 1e-10; where the surface is all but flat, a vertex slides more than that.
+    # Coordinates are rounded to 1e-10; on an almost flat surface, a vertex slides farther than that.
     np.testing.assert_allclose(away.mesh.vertices - 1e6, here.mesh.vertices, atol=1e-5)
     assert here.mesh.colors is not None
     assert away.mesh.colors is not None
@@ -314,10 +320,10 @@ def test_the_size_of_the_mesh_does_not_matter(exponent: int) -> None:
     np.testing.assert_allclose(other.mesh.vertices / factor, here.mesh.vertices, atol=1e-9)
 
 
-# -- where things came from ------------------------------------------------------------------------------
+# -- sources ---------------------------------------------------------------------------------------------
 
 
-def test_other_attributes_follow_their_vertices() -> None:
+def test_other_attributes_follow_their_source_vertices() -> None:
     mesh = sheet()
     result = simplify(mesh, ratio=0.2)
     assert len(np.unique(result.vertex_source)) == len(result.mesh.vertices)
@@ -375,12 +381,12 @@ def test_other_attributes_follow_their_vertices() -> None:
         ({"ratio": 0.5, "threads": 0}, "threads is 0; it must be at least 1"),
     ],
 )
-def test_what_cannot_be_done_is_said(arguments: dict[str, Any], message: str) -> None:
+def test_invalid_parameters_are_reported(arguments: dict[str, Any], message: str) -> None:
     with pytest.raises(UsageError, match=message):
         simplify(sheet(5), **arguments)
 
 
-def test_nothing_to_simplify() -> None:
+def test_an_empty_mesh_is_simplified() -> None:
     empty = simplify((np.zeros((0, 3)), np.zeros((0, 3), np.int32)), triangles=5, record=True)
     assert empty.mesh.vertices.shape == (0, 3)
     assert empty.record is not None
@@ -388,7 +394,7 @@ def test_nothing_to_simplify() -> None:
     json.dumps(empty.to_dict())
 
 
-def test_what_is_no_part_of_the_surface_is_left_out() -> None:
+def test_loose_vertices_and_degenerate_triangles_are_ignored() -> None:
     mesh = sheet()
     assert mesh.colors is not None
     far = np.concatenate([mesh.vertices, [[1e30, 0, 0]]])
@@ -404,14 +410,14 @@ def test_what_is_no_part_of_the_surface_is_left_out() -> None:
 
 
 @pytest.mark.parametrize("squash", [(1, 0, 0), (0, 0, 0)], ids=["line", "point"])
-def test_triangles_without_area(squash: tuple[int, int, int]) -> None:
+def test_triangles_without_area_are_accepted(squash: tuple[int, int, int]) -> None:
     mesh = sheet(12)
     result = simplify(mesh.with_(vertices=mesh.vertices * squash), ratio=0.2)
     assert np.isfinite(result.mesh.vertices).all()
     assert topology(result.mesh).is_manifold
 
 
-def test_metrics_say_how_it_was_done() -> None:
+def test_metrics_describe_the_method() -> None:
     metrics = simplify(sheet(), ratio=0.25).to_dict()
     assert json.loads(json.dumps(metrics)) == metrics
     assert metrics["method"] == "quadric"

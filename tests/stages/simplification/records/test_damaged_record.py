@@ -1,4 +1,4 @@
-"""Files that are cut short, changed, or of something else: one sentence says so and names the file."""
+"""Truncated, changed and foreign record files: one error that names the file."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from scanloom.stages.simplification.records.load import load_record
 
 
 @pytest.mark.parametrize("kind", ["vertices", "wedges"])
-def test_a_file_cut_short_anywhere_is_bad_input(tmp_path: Path, kind: str) -> None:
+def test_a_truncated_file_is_bad_input(tmp_path: Path, kind: str) -> None:
     path = save_record(kind, tmp_path)
     whole = path.read_bytes()
     for length in (0, 1, 30, 1000, len(whole) // 2, len(whole) - 1):
@@ -34,17 +34,19 @@ def test_a_changed_byte_is_bad_input(tmp_path: Path) -> None:
             load_record(path)
 
 
-def test_an_archive_nobody_wrote_like_this_is_bad_input(tmp_path: Path) -> None:
+def test_an_unknown_compression_is_bad_input(tmp_path: Path) -> None:
     path = save_record("vertices", tmp_path)
     content = bytearray(path.read_bytes())
-    entry = content.index(b"PK\x01\x02")  # in the archive's directory; its compression is two bytes at 10
+    entry = content.index(
+        b"PK\x01\x02"
+    )  # in the central directory; its compression method is two bytes at 10
     content[entry + 10] = 99
     path.write_bytes(content)
     with pytest.raises(InputError, match=r"light\.npz: is damaged, or not a collapse record"):
         load_record(path)
 
 
-def test_other_files_are_no_records(tmp_path: Path) -> None:
+def test_other_files_are_not_records(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"missing\.npz: cannot be read: No such file"):
         load_record(tmp_path / "missing.npz")
     for name, content in (("a.npz", b"ply\nformat"), ("b.npz", b"\x93NUMPY\x01")):
@@ -56,8 +58,8 @@ def test_other_files_are_no_records(tmp_path: Path) -> None:
         load_record(tmp_path / "c.npy")
 
 
-def changed(arrays: dict[str, Any], name: str) -> dict[str, Any]:
-    """Arrays of a file of collapses of vertices with one thing wrong."""
+def change_arrays(arrays: dict[str, Any], name: str) -> dict[str, Any]:
+    """Make one error in the arrays of a record of vertex collapses."""
     removed, survivor, path = (arrays[key].copy() for key in ("removed", "survivor", "path"))
     match name:
         case "version":
@@ -125,9 +127,9 @@ def changed(arrays: dict[str, Any], name: str) -> dict[str, Any]:
         ("object", "is damaged, or not a collapse record"),
     ],
 )
-def test_a_record_that_cannot_be_is_named(tmp_path: Path, name: str, message: str) -> None:
+def test_an_inconsistent_record_is_reported(tmp_path: Path, name: str, message: str) -> None:
     path = save_record("vertices", tmp_path)
-    np.savez(path, **changed(load_arrays(path), name))
+    np.savez(path, **change_arrays(load_arrays(path), name))
     with pytest.raises(InputError, match=rf"light\.npz: .*{message}"):
         load_record(path)
 
@@ -147,14 +149,14 @@ def test_a_damaged_array_is_refused(tmp_path: Path, name: str, damage: str) -> N
     arrays = load_arrays(path)
     whole = arrays.pop(name)
     if damage == "cut":
-        # An image cut short is noticed where it is decoded.
+        # A truncated image is detected when it is decoded.
         arrays[name] = whole[:-1] if name != "mesh/image_0" else whole.astype(np.int32)
     elif damage == "out of range":
         odd = np.nan if whole.dtype.kind == "f" else 10**9 if whole.dtype.kind == "i" else "?"
         arrays[name] = np.full_like(whole, odd, dtype=None if odd != "?" else "U1")
     np.savez(path, **arrays)
     if name == "mesh/uvs" and damage == "missing":
-        # That is a mesh without texture.
+        # Without coordinates, the mesh has no texture.
         assert load_record(path).replay().mesh.texture is None
     else:
         with pytest.raises(InputError, match=r"light\.npz: "):
@@ -179,7 +181,7 @@ def test_a_damaged_array_is_refused(tmp_path: Path, name: str, damage: str) -> N
         {"mesh": {"materials": [["sheet"]]}},
     ],
 )
-def test_words_that_cannot_be_are_refused(tmp_path: Path, about: dict[str, Any]) -> None:
+def test_inconsistent_metadata_is_refused(tmp_path: Path, about: dict[str, Any]) -> None:
     path = save_record("wedges", tmp_path)
     arrays = load_arrays(path)
     words = json.loads(str(arrays["about"]))

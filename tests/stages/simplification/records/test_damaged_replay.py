@@ -1,4 +1,4 @@
-"""A record whose members were changed is refused in one sentence, or replays to a mesh."""
+"""Changed members of a record: one error, or a replayed mesh."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from scanloom.stages.surface.mesh import validate_mesh
 SEEDS = range(25)
 
 
-def damaged(array: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-    """Change a few values, or all, to others that the type has."""
+def damage_array(array: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Change some or all values of an array to others of its type."""
     if array.size == 0 or array.ndim == 0:
         return array
     array = array.copy()
@@ -40,7 +40,7 @@ def damaged(array: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     return array
 
 
-def outcome(path: Path, **how: Any) -> str:
+def replay_file(path: Path, **how: Any) -> str:
     try:
         validate_mesh(load_record(path).replay(**how).mesh)
     except ScanloomError as error:
@@ -59,9 +59,9 @@ def test_changed_members_are_refused_or_replayed(tmp_path: Path, kind: str) -> N
         rng = np.random.default_rng(seed)
         arrays: dict[str, Any] = dict(whole)
         for name in rng.choice(names, rng.integers(1, 3)):
-            arrays[name] = damaged(arrays[name], rng)
+            arrays[name] = damage_array(arrays[name], rng)
         np.savez(path, **arrays)
-        outcomes += [outcome(path), outcome(path, collapses=5), outcome(path, fit=True)]
+        outcomes += [replay_file(path), replay_file(path, collapses=5), replay_file(path, fit=True)]
     assert all("\n" not in text for text in outcomes)
     assert "replayed" in outcomes
     assert any("changed.npz: " in text for text in outcomes)

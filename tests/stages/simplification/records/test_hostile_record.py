@@ -1,4 +1,4 @@
-"""Files made to break a reader: it neither crashes nor hangs, and makes no room for what is not there."""
+"""Malicious record files: no crash, no hang, and no memory for content that does not exist."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from scanloom.stages.simplification.records.record import CollapseRecord
 from scanloom.stages.surface.mesh import Mesh
 
 
-def header(shape: tuple[int, ...], kind: str) -> bytes:
+def make_header(shape: tuple[int, ...], kind: str) -> bytes:
     content = io.BytesIO()
     np.lib.format.write_array_header_1_0(content, {"descr": kind, "fortran_order": False, "shape": shape})
     return content.getvalue()
@@ -28,10 +28,10 @@ def header(shape: tuple[int, ...], kind: str) -> bytes:
     ("shape", "kind"),
     [((2**40, 3), "<f8"), ((2**40, 0), "<f8"), ((2**62,), "<U0"), ((2**62,), "|V0"), ((-1,), "<f8")],
 )
-def test_no_room_is_made_for_what_is_only_promised(tmp_path: Path, shape: tuple[int, ...], kind: str) -> None:
+def test_no_memory_is_allocated_for_stated_sizes(tmp_path: Path, shape: tuple[int, ...], kind: str) -> None:
     path = save_record("vertices", tmp_path)
     with zipfile.ZipFile(path, "a") as archive:
-        archive.writestr("other.npy", header(shape, kind) + bytes(64))
+        archive.writestr("other.npy", make_header(shape, kind) + bytes(64))
     with pytest.raises(InputError, match=r"light\.npz: is damaged, or not a collapse record"):
         load_record(path)
 
@@ -47,7 +47,7 @@ def test_no_room_is_made_for_what_is_only_promised(tmp_path: Path, shape: tuple[
         "{'descr': [(3,)], 'fortran_order': True, 'shape': (3,)}",
     ],
 )
-def test_first_lines_that_are_none_are_refused(tmp_path: Path, words: str) -> None:
+def test_malformed_array_headers_are_refused(tmp_path: Path, words: str) -> None:
     path = save_record("vertices", tmp_path)
     first = words.encode() + b"\n"
     with zipfile.ZipFile(path, "a") as archive:
@@ -58,7 +58,7 @@ def test_first_lines_that_are_none_are_refused(tmp_path: Path, words: str) -> No
         load_record(path)
 
 
-def test_an_archive_that_unpacks_a_thousandfold_is_not_unpacked(tmp_path: Path) -> None:
+def test_an_archive_with_a_huge_compression_ratio_is_not_decompressed(tmp_path: Path) -> None:
     path = save_record("vertices", tmp_path)
     np.savez_compressed(path, **load_arrays(path), other=np.zeros(50_000_000, np.uint8))
     with pytest.raises(InputError, match=r"light\.npz: .*would unpack to many times its size"):
@@ -66,23 +66,23 @@ def test_an_archive_that_unpacks_a_thousandfold_is_not_unpacked(tmp_path: Path) 
 
 
 @pytest.mark.parametrize("method", [zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA])
-def test_no_other_compression_is_unpacked(tmp_path: Path, method: int) -> None:
+def test_other_compression_methods_are_refused(tmp_path: Path, method: int) -> None:
     path = save_record("vertices", tmp_path)
     with zipfile.ZipFile(path, "a", method) as archive:
-        archive.writestr("other.npy", header((1000,), "|u1") + bytes(1000))
+        archive.writestr("other.npy", make_header((1000,), "|u1") + bytes(1000))
     with pytest.raises(InputError, match=r"light\.npz: is damaged, or not a collapse record"):
         load_record(path)
 
 
-def test_a_truth_value_is_0_or_1_whatever_the_byte(tmp_path: Path) -> None:
+def test_any_nonzero_byte_is_read_as_true(tmp_path: Path) -> None:
     path = save_record("vertices", tmp_path)
     arrays = load_arrays(path)
     np.savez(path, **arrays | {"lock": (arrays["lock"] * np.uint8(254)).view(bool)})
     assert set(load_record(path).lock.view(np.uint8).tolist()) == {0, 1}
 
 
-def test_a_tall_forest_replays(tmp_path: Path) -> None:
-    """A strip whose vertices go one into the next: each triangle meets its end after a long way."""
+def test_a_long_chain_of_collapses_replays(tmp_path: Path) -> None:
+    """In this strip each vertex collapses into the next, so each triangle vanishes after a long chain."""
     count = 100_000
     steps = np.arange(count - 1, dtype=np.int32)
     vertices = np.zeros((count, 3))
@@ -99,8 +99,8 @@ def test_a_tall_forest_replays(tmp_path: Path) -> None:
 @pytest.mark.slow
 @settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(kind=st.sampled_from(list(KINDS)), seed=st.integers(0, 2**32 - 1))
-def test_any_numbers_are_refused_or_replay(tmp_path: Path, kind: str, seed: int) -> None:
-    """Bytes of arrays changed at random, in an archive that is whole."""
+def test_random_values_are_refused_or_replayed(tmp_path: Path, kind: str, seed: int) -> None:
+    """Random bytes of arrays are changed, in a valid archive."""
     rng = np.random.default_rng(seed)
     path = save_record(kind, tmp_path)
     arrays = load_arrays(path)
@@ -121,18 +121,20 @@ def test_any_numbers_are_refused_or_replay(tmp_path: Path, kind: str, seed: int)
             with np.errstate(all="ignore"):
                 record.replay(collapses=collapses, fit=record.wedges is None)
     except ScanloomError as error:
-        assert "\n" not in str(error)  # noqa: PT017 (that it is raised is not wanted)
+        assert "\n" not in str(error)  # noqa: PT017 - an error is permitted, not required
 
 
 @settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(kind=st.sampled_from(list(KINDS)), seed=st.integers(0, 2**32 - 1))
-def test_any_bytes_are_refused_or_replay(tmp_path: Path, kind: str, seed: int) -> None:
-    """Bytes of the file changed at random, of the archive's own above all: its headers and directory."""
+def test_random_bytes_are_refused_or_replayed(tmp_path: Path, kind: str, seed: int) -> None:
+    """Random bytes of the file are changed, mostly in headers and directory of the archive."""
     rng = np.random.default_rng(seed)
     path = save_record(kind, tmp_path)
     content = bytearray(path.read_bytes())
     starts = [
-        i for mark in (b"PK\x03\x04", b"PK\x01\x02", b"PK\x05\x06", b"\x93NUMPY") for i in _all(content, mark)
+        i
+        for mark in (b"PK\x03\x04", b"PK\x01\x02", b"PK\x05\x06", b"\x93NUMPY")
+        for i in _find_all(content, mark)
     ]
     for _ in range(int(rng.integers(1, 4))):
         at = min(int(rng.choice(starts)) + int(rng.integers(0, 128)), len(content) - 1)
@@ -144,7 +146,7 @@ def test_any_bytes_are_refused_or_replay(tmp_path: Path, kind: str, seed: int) -
         assert "\n" not in str(error)  # noqa: PT017
 
 
-def _all(content: bytearray, mark: bytes) -> list[int]:
+def _find_all(content: bytearray, mark: bytes) -> list[int]:
     found, at = [], content.find(mark)
     while at >= 0:
         found.append(at)

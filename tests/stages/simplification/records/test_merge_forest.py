@@ -1,4 +1,4 @@
-"""When two vertices become one, against following each of them."""
+"""Merge forest: when two vertices become one, compared with following each of them."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from scanloom.stages.simplification.records.merge_forest import MergeForest
 
 
-def followed(count: int, removed: list[int], survivor: list[int], a: int, b: int) -> int:
-    """The first collapse after which both are part of the same vertex."""
+def follow_merges(count: int, removed: list[int], survivor: list[int], a: int, b: int) -> int:
+    """Find the first collapse after which both vertices are part of the same vertex."""
     part = list(range(count))
     if a != b:
         for number, (gone, into) in enumerate(zip(removed, survivor, strict=True)):
@@ -23,13 +23,13 @@ def followed(count: int, removed: list[int], survivor: list[int], a: int, b: int
 
 @settings(max_examples=60, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1))
-def test_any_forest(seed: int) -> None:
+def test_any_forest_agrees_with_following(seed: int) -> None:
     rng = np.random.default_rng(seed)
     count = int(rng.integers(2, 24))
     order = rng.permutation(count)
     steps = int(rng.integers(0, count))
     removed = order[:steps]
-    # Into anything that is still there, or, for tall trees, into what goes next.
+    # Into any remaining vertex or, for tall trees, into the next one to be removed.
     tall = rng.random() < 0.5
     ends = [i + 1 if tall and rng.random() < 0.8 else int(rng.integers(i + 1, count)) for i in range(steps)]
     survivor = order[ends] if steps else order[:0]
@@ -37,13 +37,13 @@ def test_any_forest(seed: int) -> None:
     met = MergeForest(count, removed.astype(np.int32), survivor.astype(np.int32)).find_merges(a, b)
     there, into = removed.tolist(), survivor.tolist()
     assert met.tolist() == [
-        followed(count, there, into, *pair) for pair in zip(a.tolist(), b.tolist(), strict=True)
+        follow_merges(count, there, into, *pair) for pair in zip(a.tolist(), b.tolist(), strict=True)
     ]
 
 
 @pytest.mark.parametrize("height", [1, 2, 3, 4, 5, 8, 9, 1000, 200_000])
-def test_a_chain(height: int) -> None:
-    """Every vertex goes into the next: following it would take as many steps as there are vertices."""
+def test_a_chain_is_searched_in_short_time(height: int) -> None:
+    """Every vertex collapses into the next; following them takes as many steps as there are vertices."""
     steps = np.arange(height, dtype=np.int32)
     meetings = MergeForest(height + 1, steps, steps + 1)
     vertices = np.arange(height + 1, dtype=np.int32)
@@ -51,7 +51,7 @@ def test_a_chain(height: int) -> None:
     np.testing.assert_array_equal(meetings.find_merges(np.zeros(height, np.int32), vertices[1:]), steps)
 
 
-def test_no_collapse_at_all() -> None:
+def test_without_collapses_only_equal_vertices_are_merged() -> None:
     none = np.zeros(0, np.int32)
     meetings = MergeForest(3, none, none)
     assert meetings.find_merges(np.array([0, 1], np.int32), np.array([1, 1], np.int32)).tolist() == [0, 0]

@@ -1,4 +1,4 @@
-"""The record of collapses: every mesh on the way is whole, and the last is the result."""
+"""Collapse record: every intermediate mesh is sound, and the last one is the result."""
 
 from __future__ import annotations
 
@@ -22,24 +22,24 @@ from scanloom.stages.surface.mesh_files import read_mesh
 from scanloom.stages.surface.topology import topology
 
 
-def ring() -> Mesh:
+def make_ring() -> Mesh:
     made = trimesh.creation.torus(1.0, 0.4, major_sections=48, minor_sections=24)
     vertices = np.array(made.vertices)
     colors = np.clip(128 + 90 * np.sin(5 * vertices), 0, 255).astype(np.uint8)
     return Mesh(vertices, np.array(made.faces, np.int32), colors=colors)
 
 
-def half_ring() -> Mesh:
-    """Open at both ends."""
-    mesh = ring()
+def make_half_ring() -> Mesh:
+    """Make a ring that is open at both ends."""
+    mesh = make_ring()
     kept = mesh.triangles[(mesh.vertices[mesh.triangles][:, :, 1] > 0.1).all(axis=1)]
     return clean(mesh.with_(triangles=kept)).mesh
 
 
-MESHES = {"ring": ring, "half ring": half_ring}
+MESHES = {"ring": make_ring, "half ring": make_half_ring}
 
 
-def recorded(mesh: Mesh, **changes: Any) -> tuple[SimplificationResult, CollapseRecord]:
+def simplify_with_record(mesh: Mesh, **changes: Any) -> tuple[SimplificationResult, CollapseRecord]:
     result = simplify(mesh, record=True, **changes)
     assert result.record is not None
     return result, result.record
@@ -65,32 +65,32 @@ BOUNDED = {
 @pytest.mark.parametrize("name", MESHES)
 @pytest.mark.parametrize("fit", [True, False], ids=["fitted", "plain"])
 def test_the_whole_record_gives_the_result(name: str, fit: bool) -> None:
-    result, record = recorded(MESHES[name](), ratio=0.1, fit=fit)
+    result, record = simplify_with_record(MESHES[name](), ratio=0.1, fit=fit)
     assert len(record.removed) == result.collapses
     assert_equal(record.replay(fit=fit), result)
 
 
 @pytest.mark.parametrize("name", MESHES)
 @pytest.mark.parametrize("how", BOUNDED)
-def test_the_whole_record_gives_the_result_within_bounds(name: str, how: str) -> None:
-    result, record = recorded(MESHES[name](), **BOUNDED[how])
+def test_the_whole_record_gives_the_bounded_result(name: str, how: str) -> None:
+    result, record = simplify_with_record(MESHES[name](), **BOUNDED[how])
     assert len(record.removed) == result.collapses > 150
     assert (getattr(result.details, "splits", 0) > 0) == how.startswith("jia01")
     assert_equal(record.replay(), result)
 
 
-def test_no_collapse_gives_the_input() -> None:
-    mesh = ring()
-    _, record = recorded(mesh, ratio=0.1)
-    assert_equal(record.replay(collapses=0), recorded(mesh, ratio=1.0)[0])
+def test_zero_collapses_give_the_input() -> None:
+    mesh = make_ring()
+    _, record = simplify_with_record(mesh, ratio=0.1)
+    assert_equal(record.replay(collapses=0), simplify_with_record(mesh, ratio=1.0)[0])
     np.testing.assert_array_equal(record.replay(collapses=0).mesh.vertices, mesh.vertices)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", MESHES)
 @pytest.mark.parametrize("how", ["quadric", *BOUNDED])
-def test_every_mesh_on_the_way_is_whole(name: str, how: str) -> None:
-    _, record = recorded(MESHES[name](), **BOUNDED.get(how, {"triangles": 1}))
+def test_every_intermediate_mesh_is_sound(name: str, how: str) -> None:
+    _, record = simplify_with_record(MESHES[name](), **BOUNDED.get(how, {"triangles": 1}))
     was = topology(record.mesh)
     assert len(record.removed) > (300 if how == "quadric" else 150)
     triangles = len(record.mesh.triangles)
@@ -114,24 +114,24 @@ def test_every_mesh_on_the_way_is_whole(name: str, how: str) -> None:
 
 
 @pytest.mark.parametrize("name", MESHES)
-def test_any_count_can_be_had(name: str) -> None:
+def test_any_triangle_count_is_reached(name: str) -> None:
     mesh = MESHES[name]()
-    result, record = recorded(mesh, triangles=100)
+    result, record = simplify_with_record(mesh, triangles=100)
     before = len(mesh.triangles)
     for wanted in (before + 5, before, before - 1, before // 2, 301, 300, len(result.mesh.triangles)):
         replayed = record.replay(triangles=wanted)
         count = len(replayed.mesh.triangles)
         assert wanted - 1 <= count <= wanted or count == before < wanted
         if replayed.collapses:
-            # One collapse fewer is not enough.
+            # One collapse less is not sufficient.
             assert record.count_triangles_after(replayed.collapses - 1) > wanted
     np.testing.assert_array_equal(
         record.replay(ratio=0.5).mesh.vertices, record.replay(triangles=before // 2).mesh.vertices
     )
 
 
-def one_after_the_other(record: CollapseRecord, collapses: int) -> set[tuple[tuple[float, ...], ...]]:
-    """Replay as the collapses took place: the triangles as the places of their corners."""
+def replay_step_by_step(record: CollapseRecord, collapses: int) -> set[tuple[tuple[float, ...], ...]]:
+    """Replay the collapses one by one; return triangles as positions of their corners."""
     place = dict(enumerate(map(tuple, record.mesh.vertices.tolist())))
     triangles = [tuple(t) for t in record.mesh.triangles.tolist()]
     for removed, survivor, to in list(zip(record.removed, record.survivor, record.path, strict=True))[
@@ -144,16 +144,16 @@ def one_after_the_other(record: CollapseRecord, collapses: int) -> set[tuple[tup
 
 
 @pytest.mark.parametrize("collapses", [1, 50, 333])
-def test_all_at_once_is_one_after_the_other(collapses: int) -> None:
-    _, record = recorded(half_ring(), triangles=30)
+def test_a_replay_equals_single_steps(collapses: int) -> None:
+    _, record = simplify_with_record(make_half_ring(), triangles=30)
     replayed = record.replay(collapses=collapses).mesh
     at_once = {tuple(map(tuple, t)) for t in replayed.vertices[replayed.triangles].tolist()}
-    assert at_once == one_after_the_other(record, collapses)
+    assert at_once == replay_step_by_step(record, collapses)
 
 
-def test_sources_lead_back() -> None:
-    mesh = ring()
-    _, record = recorded(mesh, ratio=0.1)
+def test_sources_are_close_to_their_origin() -> None:
+    mesh = make_ring()
+    _, record = simplify_with_record(mesh, ratio=0.1)
     replayed = record.replay(ratio=0.5)
     apart = np.linalg.norm(replayed.mesh.vertices - mesh.vertices[replayed.vertex_source], axis=1)
     assert apart.max() < 0.2
@@ -163,18 +163,18 @@ def test_sources_lead_back() -> None:
 
 
 def test_a_fitted_replay_is_closer() -> None:
-    mesh = ring()
-    _, record = recorded(mesh, triangles=50)
+    mesh = make_ring()
+    _, record = simplify_with_record(mesh, triangles=50)
     plain, fitted = (record.replay(triangles=300, fit=fit).mesh for fit in (False, True))
     np.testing.assert_array_equal(plain.triangles, fitted.triangles)
     rms = [compare(mesh, light, samples=20_000).symmetric.rms for light in (plain, fitted)]
     assert rms[1] < rms[0]
 
 
-def test_locks_hold_all_the_way() -> None:
-    mesh = ring()
+def test_locked_vertices_are_kept_in_every_replay() -> None:
+    mesh = make_ring()
     lock = np.arange(0, len(mesh.vertices), 9)
-    _, record = recorded(mesh, ratio=0.4, lock=lock)
+    _, record = simplify_with_record(mesh, ratio=0.4, lock=lock)
     assert mesh.colors is not None
     for ratio in (0.8, 0.4):
         replayed = record.replay(ratio=ratio, fit=True)
@@ -185,10 +185,10 @@ def test_locks_hold_all_the_way() -> None:
         np.testing.assert_array_equal(replayed.mesh.colors[at], mesh.colors[lock])
 
 
-def test_what_is_taken_back_is_not_in_the_record(shared_data: Path) -> None:
+def test_undone_collapses_are_not_in_the_record(shared_data: Path) -> None:
     kitchen = read_mesh(shared_data / "meshes" / "redkitchen_fused_vertexcolor.ply")
     mesh = clean(select_quarter(kitchen)).mesh
-    result, record = recorded(mesh, max_shape=0.005, max_color=20)
+    result, record = simplify_with_record(mesh, max_shape=0.005, max_color=20)
     assert result.details.iterations is not None
     assert result.details.iterations > 3
     assert len(record.removed) == result.collapses
@@ -200,9 +200,9 @@ def test_what_is_taken_back_is_not_in_the_record(shared_data: Path) -> None:
         assert (now.euler, now.boundary_loops) == (was.euler, was.boundary_loops)
 
 
-def test_a_scan_in_patches(shared_data: Path) -> None:
+def test_a_scan_of_several_regions_replays(shared_data: Path) -> None:
     mesh = clean(read_mesh(shared_data / "meshes" / "redkitchen_fused_vertexcolor.ply")).mesh
-    result, record = recorded(mesh, ratio=0.05)
+    result, record = simplify_with_record(mesh, ratio=0.05)
     assert_equal(record.replay(fit=True), result)
     was = topology(mesh)
     for ratio in (0.7, 0.3, 0.1):
@@ -222,15 +222,15 @@ def test_a_scan_in_patches(shared_data: Path) -> None:
         ({"count": 5}, "unknown parameter 'count'"),
     ],
 )
-def test_what_the_record_does_not_hold(changes: dict[str, Any], message: str) -> None:
-    _, record = recorded(ring(), triangles=230)
+def test_counts_outside_the_record_are_refused(changes: dict[str, Any], message: str) -> None:
+    _, record = simplify_with_record(make_ring(), triangles=230)
     with pytest.raises(UsageError, match=message):
         record.replay(**changes)
 
 
-def test_a_mesh_that_cannot_be_fitted_is_named() -> None:
-    """Nobody but a file from outside makes such a record."""
-    _, record = recorded(ring(), triangles=300)
+def test_a_mesh_that_cannot_be_fitted_is_reported() -> None:
+    """Such a record can only come from a foreign file."""
+    _, record = simplify_with_record(make_ring(), triangles=300)
     triangles = record.mesh.triangles.copy()
     triangles[0] = triangles[0, ::-1]
     with pytest.raises(MeshError, match="the mesh of the record cannot be fitted: "):

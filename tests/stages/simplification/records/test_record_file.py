@@ -1,4 +1,4 @@
-"""The file of a record holds all that a replay needs."""
+"""Record files contain everything that a replay needs."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def test_the_texture_survives(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("kind", ["vertices", "wedges"])
-def test_the_file_says_what_it_holds(tmp_path: Path, kind: str) -> None:
+def test_the_file_describes_its_content(tmp_path: Path, kind: str) -> None:
     arrays = load_arrays(save_record(kind, tmp_path))
     about = json.loads(str(arrays["about"]))
     assert arrays["scanloom_collapse_record"] == FORMAT_VERSION == 2
@@ -59,19 +59,19 @@ def test_the_file_says_what_it_holds(tmp_path: Path, kind: str) -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_the_same_record_is_the_same_file(tmp_path: Path, kind: str) -> None:
+def test_the_same_record_gives_the_same_file(tmp_path: Path, kind: str) -> None:
     first = save_record(kind, tmp_path).read_bytes()
     load_record(tmp_path / "light.npz").save(tmp_path / "again.npz")
     assert (tmp_path / "again.npz").read_bytes() == first
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_a_file_that_somebody_packed_still_reads(tmp_path: Path, kind: str) -> None:
+def test_a_recompressed_file_is_read(tmp_path: Path, kind: str) -> None:
     path = save_record(kind, tmp_path)
     np.savez_compressed(path, **load_arrays(path))
     assert_equal(load_record(path).replay(), make_record(kind).replay())
 
 
-def test_no_such_folder(tmp_path: Path) -> None:
+def test_a_missing_folder_is_reported(tmp_path: Path) -> None:
     with pytest.raises(StageError, match="cannot be written"):
         make_record("vertices").save(tmp_path / "nowhere" / "light.npz")

@@ -1,4 +1,4 @@
-"""Shape error of method `seams`, against method `quadric` on the same surface."""
+"""Shape error of method `seams`, compared with method `quadric` on the same surface."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from scanloom.stages.comparing.compare import compare
 from scanloom.stages.simplification.simplify import simplify
 from scanloom.stages.surface.mesh import Mesh
 
-# Permitted ratio of the RMS distance of `seams` to that of `quadric`.
+# Maximum ratio of the RMS distances of `seams` and `quadric`.
 MOST_RATIO = 1.3
 
 
-def bumpy_sheet(side: int, bumps: float, noise: float, seed: int) -> Mesh:
-    """A sheet of 2 · side² triangles with a ragged hole and a ragged outline."""
+def make_bumpy_sheet(side: int, bumps: float, noise: float, seed: int) -> Mesh:
+    """Make a sheet of up to 2 · side² triangles with a ragged hole and a ragged outline."""
     rng = np.random.default_rng(seed)
     x, y = np.meshgrid(np.linspace(0, 1, side + 1), np.linspace(0, 1, side + 1))
     phase = rng.uniform(0, 2 * np.pi, 4)
@@ -35,12 +35,12 @@ def bumpy_sheet(side: int, bumps: float, noise: float, seed: int) -> Mesh:
     return Mesh(vertices[used], local.reshape(-1, 3).astype(np.int32))
 
 
-def rms(light: Mesh, mesh: Mesh) -> float:
+def measure_rms(light: Mesh, mesh: Mesh) -> float:
     return compare(light, mesh, samples=20_000).symmetric.rms
 
 
-def doubled(mesh: Mesh) -> Mesh:
-    """The same surface with three vertices for each triangle, as files with texture seams have them."""
+def unweld(mesh: Mesh) -> Mesh:
+    """Give each triangle three separate vertices, as at texture seams in files."""
     vertices = mesh.vertices[mesh.triangles].reshape(-1, 3)
     return Mesh(vertices, np.arange(len(vertices), dtype=np.int32).reshape(-1, 3))
 
@@ -54,30 +54,30 @@ def doubled(mesh: Mesh) -> Mesh:
     ratio=st.sampled_from([0.1, 0.03, 0.015]),
     seed=st.integers(0, 1000),
 )
-def test_shape_error_is_that_of_quadric(
+def test_shape_error_is_close_to_that_of_quadric(
     side: int, bumps: float, noise: float, ratio: float, seed: int
 ) -> None:
-    """Meshes of several regions and rounds, with boundaries."""
-    mesh = bumpy_sheet(side, bumps, noise, seed)
+    """The meshes have boundaries, and need several regions and rounds."""
+    mesh = make_bumpy_sheet(side, bumps, noise, seed)
     plain = simplify(mesh, method="quadric", ratio=ratio)
-    seams = simplify(doubled(mesh), method="seams", triangles=len(plain.mesh.triangles))
-    assert rms(seams.mesh, mesh) <= MOST_RATIO * rms(plain.mesh, mesh)
+    seams = simplify(unweld(mesh), method="seams", triangles=len(plain.mesh.triangles))
+    assert measure_rms(seams.mesh, mesh) <= MOST_RATIO * measure_rms(plain.mesh, mesh)
 
 
 def test_late_rounds_keep_the_order() -> None:
-    """At 2 % whole regions were collapsed to nothing, since the last rounds had no limit on the priority."""
-    mesh = bumpy_sheet(110, 0.08, 0.2, 3)
-    errors = [rms(simplify(mesh, method="seams", ratio=ratio).mesh, mesh) for ratio in (0.05, 0.02)]
-    plain = rms(simplify(mesh, method="quadric", ratio=0.02).mesh, mesh)
+    """Without a limit on the priority, the last rounds collapsed whole regions at a ratio of 2 %."""
+    mesh = make_bumpy_sheet(110, 0.08, 0.2, 3)
+    errors = [measure_rms(simplify(mesh, method="seams", ratio=ratio).mesh, mesh) for ratio in (0.05, 0.02)]
+    plain = measure_rms(simplify(mesh, method="quadric", ratio=0.02).mesh, mesh)
     assert errors[1] < 4 * errors[0]
     assert errors[1] <= MOST_RATIO * plain
 
 
 @pytest.mark.parametrize("share", [0.005, 0.031, 0.1])
 def test_joined_vertices_give_finite_positions_near_the_input(share: float) -> None:
-    """Two sets of similar vertices with the same mean have edges of length 0."""
+    """Two sets of joined vertices with the same mean have edges of length 0."""
     rng = np.random.default_rng(1)
-    sheet = bumpy_sheet(20, 0.02, 0.1, 5)
+    sheet = make_bumpy_sheet(20, 0.02, 0.1, 5)
     offset = np.array([0, 0, 0.01])
     flipped = sheet.triangles[:, ::-1] + len(sheet.vertices)
     mesh = Mesh(

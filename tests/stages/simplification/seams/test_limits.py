@@ -1,4 +1,4 @@
-"""Importance in all rounds of method seams, and the box that no vertex leaves."""
+"""Importance in all rounds of method seams, and bounding box of the vertices."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from scanloom.stages.surface.mesh import Mesh
 
 
 @functools.cache
-def dense_ball() -> Mesh:
-    """19,800 triangles with a seam from pole to pole."""
+def make_dense_ball() -> Mesh:
+    """Make a ball of 19,800 triangles with a seam from pole to pole."""
     return wrapped_ball(rings=100, sectors=100, bumps=0.1)
 
 
 def test_importance_counts_in_all_rounds() -> None:
-    """Triangles took the importance of others from the second round on."""
-    mesh = dense_ball()
+    """Triangles had the importance of other triangles from the second round on."""
+    mesh = make_dense_ball()
     upper = mesh.vertices[:, 2] > 0
 
     def share_above(importance: np.ndarray | None = None) -> float:
@@ -32,7 +32,7 @@ def test_importance_counts_in_all_rounds() -> None:
 
 @pytest.mark.parametrize("fit", [False, True])
 def test_no_vertex_leaves_the_box_of_the_input(fit: bool) -> None:
-    """One vertex stood for half a box, whose least squares lie far outside."""
+    """One vertex replaced half a box, and its least-squares position was far outside."""
     mesh = touching_parts(np.random.default_rng(13351), 1e-7)
     light = simplify(mesh, method="seams", ratio=0.3, fit=fit).mesh
     low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)

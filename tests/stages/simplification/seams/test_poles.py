@@ -1,4 +1,4 @@
-"""Seams that end inside a chart, as a pole sends them out, and boxes that share an edge."""
+"""Seams that end inside a chart, such as at a pole, and boxes that share an edge."""
 
 from __future__ import annotations
 
@@ -13,10 +13,11 @@ from scanloom.stages.simplification.simplify import simplify
 from scanloom.stages.surface.mesh import Image, Material, Mesh, Texture
 
 
-def globe(rings: int, segments: int, bumps: float) -> Mesh:
-    """A globe as files have it: a grid of vertices, whose first and last row are copies of one pole each.
+def make_globe(rings: int, segments: int, bumps: float) -> Mesh:
+    """Make a globe as a grid of vertices; all vertices of the first and last row are at a pole.
 
-    Its fans have triangles without area, and a texture coordinate of the pole for each triangle.
+    The fans at the poles have degenerate triangles, and each triangle has its own texture coordinate of the
+    pole.
     """
     polar = np.linspace(0, np.pi, rings + 1)[:, None]
     around = np.linspace(0, 2 * np.pi, segments + 1)[None]
@@ -35,8 +36,8 @@ def globe(rings: int, segments: int, bumps: float) -> Mesh:
 
 @pytest.mark.parametrize("bumps", [0.0, 0.1])
 @pytest.mark.parametrize("ratio", [0.3, 0.1, 0.03])
-def test_poles_of_a_globe_cost_little(bumps: float, ratio: float) -> None:
-    mesh = globe(32, 64, bumps)
+def test_poles_of_a_globe_cause_little_error(bumps: float, ratio: float) -> None:
+    mesh = make_globe(32, 64, bumps)
     light = simplify(mesh, ratio=ratio)
     assert light.method == "seams"
     assert light.stopped_by == "triangles"
@@ -49,12 +50,12 @@ def test_poles_of_a_globe_cost_little(bumps: float, ratio: float) -> None:
         compare(one.mesh, mesh, samples=30_000).to_dict()["distance"]["symmetric"]["rms_m"]
         for one in (light, plain)
     ]
-    # Without regard for any texture, the error is about half; it was forty times as much.
+    # Without the texture, the error is about half; earlier, the textured error was forty times as large.
     assert rms[0] < 2.5 * rms[1]
 
 
-def test_seams_go_no_farther_than_they_may_and_a_larger_bound_is_told() -> None:
-    mesh = globe(32, 64, 0.1)
+def test_seams_stay_within_their_drift_and_a_large_drift_is_reported() -> None:
+    mesh = make_globe(32, 64, 0.1)
     assert mesh.texture is not None
     image = Image(given=np.full((512, 512, 3), 128, np.uint8))
     mesh = mesh.with_(texture=replace(mesh.texture, materials=(Material("globe", image),)))
@@ -72,7 +73,7 @@ def test_boxes_that_share_an_edge_are_two_surfaces() -> None:
     box = np.array([half for a, b, c, d in quads for half in ((a, b, c), (a, c, d))])
     vertices = np.vstack([corners, corners - [1, 1, 0]])
     both = np.vstack([box, box + 8])
-    # The upper edge of the one and the lower edge of the other have the same two vertices.
+    # The upper edge of one box and the lower edge of the other have the same two vertices.
     both[both == 8 + 6], both[both == 8 + 7] = 0, 1
     mesh = Mesh(vertices, both.astype(np.int32))
     for method in ("seams", "quadric"):

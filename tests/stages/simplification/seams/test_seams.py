@@ -1,4 +1,4 @@
-"""Method seams: what FENG12 promises of textured meshes, and the bounds on the image that go beyond it."""
+"""Method seams: promises of FENG12 for textured meshes, and additional bounds for the image."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ TEXTURED = (
 TEN = (0.9, 0.7, 0.5, 0.35, 0.25, 0.18, 0.12, 0.08, 0.05, 0.03)
 
 
-def textured(name: str) -> Mesh:
+def read_textured(name: str) -> Mesh:
     path = DATA / name
     if not path.exists():
         folder = path.parent if path.suffix else path
@@ -68,7 +68,7 @@ def textured(name: str) -> Mesh:
 
 
 def assert_sound(light: Mesh, source: np.ndarray, mesh: Mesh) -> None:
-    """Welded, it has no open, crowded or doubled place that the input has not; no image has turned over."""
+    """Check that the welded mesh has no new defects, and that no triangle flips in the image."""
     now, before = weld_corners(light), weld_corners(mesh)
     assert all(a <= b for a, b in zip(count_edges(now), count_edges(before), strict=True))
     assert count_duplicates(now) <= count_duplicates(before)
@@ -82,22 +82,22 @@ def assert_sound(light: Mesh, source: np.ndarray, mesh: Mesh) -> None:
     np.testing.assert_array_equal(light.texture.material_ids, mesh.texture.material_ids[source])
 
 
-def corner_attributes(mesh: Mesh) -> np.ndarray:
+def list_corner_attributes(mesh: Mesh) -> np.ndarray:
     assert mesh.texture is not None
     return np.concatenate([mesh.vertices[mesh.triangles], mesh.texture.uvs], axis=2)
 
 
-# -- the guarantee, on real models -----------------------------------------------------------------------
+# -- real models -----------------------------------------------------------------------------------------
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", TEXTURED)
-def test_ten_triangle_counts_of_a_real_model_are_closed_and_keep_to_their_charts(name: str) -> None:
-    mesh = textured(name)
+def test_ten_triangle_counts_of_a_real_model_are_sound_and_stay_in_their_charts(name: str) -> None:
+    mesh = read_textured(name)
     result = simplify(mesh, method="seams", ratio=TEN[-1], record=True)
     assert result.record is not None
     for ratio in TEN:
-        # A collapse on a boundary takes one triangle, all others two.
+        # A collapse at a boundary removes one triangle, any other collapse two.
         wanted = max(int(ratio * len(mesh.triangles)), len(result.mesh.triangles))
         replayed = result.record.replay(triangles=wanted)
         assert wanted - 1 <= len(replayed.mesh.triangles) <= wanted
@@ -106,7 +106,7 @@ def test_ten_triangle_counts_of_a_real_model_are_closed_and_keep_to_their_charts
             assert count_outside_charts(replayed.mesh, replayed.triangle_source, mesh) == 0
 
 
-def test_the_chart_check_sees_a_coordinate_outside() -> None:
+def test_the_chart_check_detects_a_coordinate_outside() -> None:
     mesh = folded_strips()
     assert mesh.texture is not None
     everything = np.arange(len(mesh.triangles), dtype=np.int32)
@@ -119,8 +119,8 @@ def test_the_chart_check_sees_a_coordinate_outside() -> None:
 
 @settings(max_examples=40, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1))
-def test_any_cut_up_surface_keeps_the_promise(seed: int) -> None:
-    """A ball with holes, cut into charts at random, with vertices and triangles doubled, nearly or not."""
+def test_any_fragmented_surface_keeps_the_promise(seed: int) -> None:
+    """A ball with holes is cut into random charts, with exact or approximate copies of its parts."""
     rng = np.random.default_rng(seed)
     mesh = wrapped_ball(int(rng.integers(4, 10)), int(rng.integers(5, 14)), bumps=0.1)
     assert mesh.texture is not None
@@ -140,7 +140,7 @@ def test_any_cut_up_surface_keeps_the_promise(seed: int) -> None:
     ids = rng.integers(-1, 2, 8)[chart].astype(np.int32)
     vertices, triangles = mesh.vertices, mesh.triangles
     if rng.random() < 0.6:
-        # As files do: a copy of a vertex for each chart.
+        # A separate copy of a vertex for each chart, as in files.
         pairs, corners = np.unique(
             np.column_stack([triangles.reshape(-1), np.repeat(chart, 3)]), axis=0, return_inverse=True
         )
@@ -148,7 +148,7 @@ def test_any_cut_up_surface_keeps_the_promise(seed: int) -> None:
         if rng.random() < 0.3:
             vertices = vertices + rng.normal(0, 1e-7, vertices.shape)
     if rng.random() < 0.2:
-        # Once more, in part and nearly in the same place.
+        # A partial copy of the surface at almost the same position.
         again = np.flatnonzero(rng.random(count) < rng.choice([0.1, 0.5]))
         triangles = np.concatenate([triangles, triangles[again] + np.int32(len(vertices))])
         vertices = np.concatenate([vertices, vertices + 3e-7])
@@ -172,7 +172,7 @@ def test_figure_3_plain_quadrics_tear_a_cut_sheet_and_two_sided_collapses_do_not
     mesh = folded_strips()
     rim = count_edges(weld_corners(mesh))[0]
     goal = len(mesh.triangles) // 2
-    # Plain quadrics, on the copies that the file has: the kernel knows of nothing else.
+    # The kernel of plain quadrics gets the vertex copies of the file, without welding.
     kernel = _kernels.simplify_by_quadrics(
         mesh.vertices,
         np.zeros((len(mesh.vertices), 0), np.uint8),
@@ -187,7 +187,7 @@ def test_figure_3_plain_quadrics_tear_a_cut_sheet_and_two_sided_collapses_do_not
     )
     torn = Mesh(kernel.vertices, kernel.triangles)
     assert count_edges(weld_corners(torn))[0] > rim
-    # Every method sees the surface.
+    # Methods weld the copies first.
     asked: dict[str, dict[str, Any]] = {
         "quadric": {"triangles": goal},
         "certified": {"triangles": goal, "max_shape": 0.02},
@@ -200,16 +200,16 @@ def test_figure_3_plain_quadrics_tear_a_cut_sheet_and_two_sided_collapses_do_not
     whole = simplify(mesh, method="seams", triangles=goal)
     assert count_edges(weld_corners(whole.mesh))[0] <= rim
     assert_sound(whole.mesh, whole.triangle_source, mesh)
-    # Both sides of the cut end at the same vertices, each with coordinates of its own.
+    # Both sides of the cut end at the same vertices, with separate coordinates.
     assert len(np.unique(find_charts(whole.mesh))) == 2
 
 
 @pytest.mark.parametrize("doubled", [(4, 7), (3, 4, 7), (4, 7, 8), (3, 4, 7, 8)])
-def test_figure_3_one_collapse_beside_doubled_vertices(doubled: tuple[int, ...]) -> None:
-    """The star of the edge 4–7 in a sheet of 3 × 4 vertices; those below the cut have copies of their own."""
+def test_figure_3_one_collapse_next_to_doubled_vertices(doubled: tuple[int, ...]) -> None:
+    """The star of the edge 4–7 in a sheet of 3 × 4 vertices; vertices below the cut have copies."""
     points = np.array([[x, y, 0.02 * ((3 * x + 5 * y) % 4)] for y in range(4) for x in range(3)], float)
-    triangles = [[a, b, c] for y in range(3) for x in range(2) for a, b, c in _halves(3 * y + x)]
-    # Triangles on one side of the cut name the copies.
+    triangles = [[a, b, c] for y in range(3) for x in range(2) for a, b, c in _split_quad(3 * y + x)]
+    # Triangles on one side of the cut use the copies.
     copies = {v: 12 + i for i, v in enumerate(doubled)}
     left = {i for i, t in enumerate(triangles) if points[t, 0].mean() < 1}
     named = [[copies.get(v, v) if i in left else v for v in t] for i, t in enumerate(triangles)]
@@ -225,7 +225,7 @@ def test_figure_3_one_collapse_beside_doubled_vertices(doubled: tuple[int, ...])
         assert count_outside_charts(result.mesh, result.triangle_source, mesh) == 0
 
 
-def _halves(corner: int) -> list[list[int]]:
+def _split_quad(corner: int) -> list[list[int]]:
     a, b, c, d = corner, corner + 1, corner + 4, corner + 3
     return [[a, b, c], [a, c, d]]
 
@@ -239,12 +239,12 @@ def test_a_straight_seam_stays_straight_in_the_image() -> None:
     assert result.method == "seams"
     assert count_edges(weld_corners(result.mesh)) == (0, 0)
     assert result.mesh.texture is not None
-    border = _border(result.mesh, np.ones(len(result.mesh.triangles), bool))
-    # Poles apart, whose own coordinates are cut into the image from above and below.
+    border = _find_border(result.mesh, np.ones(len(result.mesh.triangles), bool))
+    # Poles are excluded, because their coordinates are cut into the image from above and below.
     u, v = border[..., 0], border[..., 1]
     between = ((v > 1 / 23.5) & (v < 1 - 1 / 23.5)).any(axis=1)
     assert np.isin(u[between], (0.0, 1.0)).all()
-    # The border goes all the way up on both sides of the image.
+    # The border reaches from bottom to top on both sides of the image.
     for side in (0.0, 1.0):
         assert np.abs(np.diff(v[(u == side).all(axis=1)])).sum() == pytest.approx(1 - 2 / 24)
     assert_sound(result.mesh, result.triangle_source, mesh)
@@ -252,8 +252,8 @@ def test_a_straight_seam_stays_straight_in_the_image() -> None:
 
 
 @pytest.mark.parametrize("bound", [0.0, 0.002, 0.02])
-def test_seams_stay_within_the_bound_on_their_image(bound: float) -> None:
-    mesh = textured("Duck.glb")
+def test_seams_stay_within_the_bound_in_the_image(bound: float) -> None:
+    mesh = read_textured("Duck.glb")
     assert mesh.texture is not None
     side = max(mesh.texture.images[0].size or ())
     result = simplify(mesh, ratio=0.05, method="seams", seams={"max_seam_drift": bound * side})
@@ -264,13 +264,13 @@ def test_seams_stay_within_the_bound_on_their_image(bound: float) -> None:
     assert mesh.texture is not None
     of, now = find_charts(mesh), find_charts(mesh)[result.triangle_source]
     for chart in np.unique(now):
-        seams = _border(result.mesh, now == chart)
-        points = _border(mesh, of == chart).reshape(-1, 2)
-        assert _distances(points, seams).max() <= result.details.seam_drift + 1e-9
+        seams = _find_border(result.mesh, now == chart)
+        points = _find_border(mesh, of == chart).reshape(-1, 2)
+        assert _measure_distances(points, seams).max() <= result.details.seam_drift + 1e-9
 
 
-def _border(mesh: Mesh, chosen: np.ndarray) -> np.ndarray:
-    """Sides (k, 2, 2) of chosen triangles' image that no other of them has."""
+def _find_border(mesh: Mesh, chosen: np.ndarray) -> np.ndarray:
+    """Find the edges (k, 2, 2) in the image that belong to only one of the chosen triangles."""
     assert mesh.texture is not None
     uvs = mesh.texture.uvs[chosen]
     sides = np.stack([uvs, np.roll(uvs, -1, axis=1)], axis=2).reshape(-1, 2, 2)
@@ -282,7 +282,7 @@ def _border(mesh: Mesh, chosen: np.ndarray) -> np.ndarray:
     return unique[counts == 1].reshape(-1, 2, 2)
 
 
-def _distances(points: np.ndarray, segments: np.ndarray) -> np.ndarray:
+def _measure_distances(points: np.ndarray, segments: np.ndarray) -> np.ndarray:
     a, b = segments[:, 0], segments[:, 1]
     along = b - a
     t = ((points[:, None] - a) * along).sum(axis=2) / np.maximum((along**2).sum(axis=1), 1e-300)
@@ -290,17 +290,17 @@ def _distances(points: np.ndarray, segments: np.ndarray) -> np.ndarray:
     return np.asarray(np.linalg.norm(points[:, None] - nearest, axis=2).min(axis=1))
 
 
-def test_without_a_collapse_everything_stays_to_the_bit() -> None:
+def test_without_collapses_everything_is_kept_exactly() -> None:
     for mesh in (wrapped_ball(8, 10), folded_strips()):
         result = simplify(mesh, method="seams", ratio=1.0)
         assert result.collapses == 0
-        np.testing.assert_array_equal(corner_attributes(result.mesh), corner_attributes(mesh))
+        np.testing.assert_array_equal(list_corner_attributes(result.mesh), list_corner_attributes(mesh))
 
 
-def test_equal_input_gives_equal_bytes_and_memory_order_does_not_matter_to_the_promise() -> None:
+def test_results_are_deterministic_and_the_promise_holds_for_any_triangle_order() -> None:
     mesh = wrapped_ball()
     one, other = (simplify(mesh, ratio=0.2, keep_uv=True) for _ in range(2))
-    np.testing.assert_array_equal(corner_attributes(one.mesh), corner_attributes(other.mesh))
+    np.testing.assert_array_equal(list_corner_attributes(one.mesh), list_corner_attributes(other.mesh))
     rng = np.random.default_rng(3)
     order = rng.permutation(len(mesh.triangles))
     shuffled = mesh.with_triangles(mesh.triangles[order], order)
@@ -311,7 +311,7 @@ def test_equal_input_gives_equal_bytes_and_memory_order_does_not_matter_to_the_p
 # -- attributes of corners -------------------------------------------------------------------------------
 
 
-def test_colours_that_differ_between_copies_stay_apart() -> None:
+def test_different_colours_of_vertex_copies_stay_separate() -> None:
     mesh = folded_strips(24, 9)
     colors = np.where(np.arange(len(mesh.vertices))[:, None] < 24 * 5, [250, 20, 20], [20, 20, 250])
     painted = mesh.with_(colors=colors.astype(np.uint8))
@@ -323,7 +323,7 @@ def test_colours_that_differ_between_copies_stay_apart() -> None:
     assert np.abs(positions[counts == 2][:, 1] - 4).max() < 0.01
 
 
-def test_normals_of_corners_follow_sharp_edges() -> None:
+def test_corner_normals_follow_sharp_edges() -> None:
     cubes = two_cubes(1.0)
     corners = cubes.vertices[cubes.triangles]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -339,7 +339,7 @@ def test_normals_of_corners_follow_sharp_edges() -> None:
     np.testing.assert_allclose(light.corner_normals, np.repeat(flat[:, None], 3, axis=1), atol=1e-6)
 
 
-def test_a_palette_whose_triangles_have_no_area_in_the_image() -> None:
+def test_a_palette_texture_with_zero_area_is_kept() -> None:
     mesh = wrapped_ball()
     assert mesh.texture is not None
     north = mesh.vertices[mesh.triangles].mean(axis=1)[:, 2] > 0
@@ -355,7 +355,7 @@ def test_a_palette_whose_triangles_have_no_area_in_the_image() -> None:
     assert count_edges(weld_corners(result.mesh)) == (0, 0)
 
 
-# -- similar vertices and the paper's knobs --------------------------------------------------------------
+# -- similar vertices and parameters of the paper --------------------------------------------------------
 
 
 def test_similar_sets_are_chains_of_close_vertices() -> None:
@@ -382,8 +382,8 @@ def test_a_chain_is_joined_only_if_no_vertex_moves_farther_than_the_distance() -
     assert group_joinable_vertices(vertices, none, 3.0)[0].tolist() == [0] * 6
 
 
-def bodies(light: Mesh) -> int:
-    """Count the components of a mesh whose vertices of equal position are one."""
+def count_components(light: Mesh) -> int:
+    """Count the connected components of a mesh after welding equal positions."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
@@ -400,18 +400,18 @@ def test_similar_distance_closes_cracks_between_parts() -> None:
     cracked[upper, 1] += 0.05
     mesh = mesh.with_(vertices=cracked)
     apart = simplify(mesh, method="seams", ratio=0.3)
-    assert bodies(apart.mesh) == 2
+    assert count_components(apart.mesh) == 2
     assert apart.details.joined_vertices == 0
     joined = simplify(mesh, method="seams", ratio=0.3, seams={"similar_distance": 0.1})
-    assert bodies(joined.mesh) == 1
+    assert count_components(joined.mesh) == 1
     assert joined.details.joined_vertices == 24
     assert count_edges(weld_corners(joined.mesh))[1] == 0
 
 
-def test_similar_distance_keeps_walls_that_face_each_other_apart() -> None:
+def test_similar_distance_keeps_opposite_walls_separate() -> None:
     mesh = two_cubes(gap=1e-3)
     light = simplify(mesh, method="seams", ratio=0.3, seams={"similar_distance": 2e-3})
-    assert bodies(light.mesh) == 2
+    assert count_components(light.mesh) == 2
     assert light.stopped_by == "triangles"
     assert count_edges(weld_corners(light.mesh)) == (0, 0)
 
@@ -419,7 +419,9 @@ def test_similar_distance_keeps_walls_that_face_each_other_apart() -> None:
 @pytest.mark.slow
 @given(seed=st.integers(0, 1 << 16), gap=st.floats(-8, -1.5), distance=st.floats(0, 0.2))
 @settings(max_examples=60, deadline=None)
-def test_no_distance_makes_edges_of_more_than_two_triangles(seed: int, gap: float, distance: float) -> None:
+def test_no_distance_creates_edges_with_more_than_two_triangles(
+    seed: int, gap: float, distance: float
+) -> None:
     mesh = touching_parts(np.random.default_rng(seed), 10**gap)
     diagonal = float(np.linalg.norm(np.ptp(mesh.vertices, axis=0)))
     before = count_edges(weld_corners(mesh))[1]
@@ -439,7 +441,7 @@ def test_no_distance_makes_edges_of_more_than_two_triangles(seed: int, gap: floa
             assert_near(light, mesh, max_shape=distance * diagonal)
 
 
-def test_parts_nearly_in_touch_keep_apart_and_copies_nearly_equal_are_one() -> None:
+def test_almost_touching_parts_stay_separate_and_almost_equal_copies_are_joined() -> None:
     nearly = 1e-7
     cubes = two_cubes(gap=nearly)
     sets, positions, apart = group_joinable_vertices(cubes.vertices, cubes.triangles, 2 * nearly)
@@ -451,7 +453,7 @@ def test_parts_nearly_in_touch_keep_apart_and_copies_nearly_equal_are_one() -> N
     assert count_edges(weld_corners(light.mesh)) == (0, 0)
     assert count_duplicates(weld_corners(light.mesh)) == 0
 
-    # The second copy of the middle row is off by a rounding error: the sheet is one all the same.
+    # The second copy of the middle row has a rounding error; the sheet is still connected.
     sheet = folded_strips()
     vertices = sheet.vertices.copy()
     copies = np.setdiff1d(np.arange(len(vertices)), np.unique(vertices, axis=0, return_index=True)[1])
@@ -464,7 +466,7 @@ def test_parts_nearly_in_touch_keep_apart_and_copies_nearly_equal_are_one() -> N
     assert count_edges(weld_corners(light.mesh))[0] <= count_edges(weld_corners(sheet))[0]
 
 
-def test_auto_takes_seams_for_what_only_seams_carries() -> None:
+def test_auto_selects_seams_if_only_seams_keeps_the_attributes() -> None:
     mesh = two_cubes(gap=0.5)
     assert simplify(mesh, ratio=0.3).method == "seams"
     plain = Mesh(mesh.vertices, mesh.triangles)
@@ -485,23 +487,23 @@ def test_auto_takes_seams_for_what_only_seams_carries() -> None:
     assert simplify(plain.with_(corner_normals=corners), ratio=0.3).method == "seams"
 
 
-def test_a_penalty_puts_off_what_it_is_for() -> None:
+def test_a_part_border_penalty_keeps_vertices_on_the_border() -> None:
     mesh = wrapped_ball(rings=40, sectors=40, bumps=0.1)
     parts = (mesh.vertices[mesh.triangles].mean(axis=1)[:, 2] > 0).astype(np.int32)
     halves = mesh.with_(part_ids=parts, part_names=("back", "front"))
 
-    def left_on_border(**changes: Any) -> int:
+    def count_on_border(**changes: Any) -> int:
         result = simplify(halves, method="seams", ratio=0.1, **changes)
         t = result.mesh.triangles
         by_part = [set(t[result.mesh.part_ids == part].reshape(-1).tolist()) for part in (0, 1)]
         return len(by_part[0] & by_part[1])
 
-    assert left_on_border(seams={"part_border_penalty": 1000}) > left_on_border(
+    assert count_on_border(seams={"part_border_penalty": 1000}) > count_on_border(
         seams={"part_border_penalty": 0}
     )
 
 
-def test_a_collapse_across_materials_is_put_off() -> None:
+def test_a_material_border_penalty_keeps_vertices_on_the_border() -> None:
     mesh = wrapped_ball(rings=40, sectors=40, bumps=0.1)
     ids = (mesh.vertices[mesh.triangles].mean(axis=1)[:, 2] > 0).astype(np.int32)
     assert mesh.texture is not None
@@ -509,20 +511,20 @@ def test_a_collapse_across_materials_is_put_off() -> None:
     texture = Texture(mesh.texture.uvs, ids, (material, Material("other", material.image)))
     halves = mesh.with_(texture=texture)
 
-    def left_on_border(penalty: float) -> int:
+    def count_on_border(penalty: float) -> int:
         result = simplify(halves, method="seams", ratio=0.1, seams={"material_border_penalty": penalty}).mesh
         assert result.texture is not None
         here, there = (np.unique(result.triangles[result.texture.material_ids == k]) for k in (0, 1))
         return len(np.intersect1d(here, there))
 
-    counts = [left_on_border(penalty) for penalty in (0, 10, 1000)]
+    counts = [count_on_border(penalty) for penalty in (0, 10, 1000)]
     assert counts[0] < counts[1] < counts[2]
 
 
-def test_a_collapse_of_many_duplicates_is_put_off() -> None:
+def test_a_duplicate_penalty_keeps_duplicated_vertices() -> None:
     mesh = wrapped_ball(rings=40, sectors=40, bumps=0.1)
 
-    def left_with_duplicates(penalty: float) -> int:
+    def count_duplicated(penalty: float) -> int:
         light = simplify(mesh, method="seams", ratio=0.1, seams={"duplicate_penalty": penalty}).mesh
         assert light.texture is not None
         corners = light.triangles.reshape(-1)
@@ -530,7 +532,7 @@ def test_a_collapse_of_many_duplicates_is_put_off() -> None:
         _, copies = np.unique(np.unique(rows, axis=0)[:, 0], return_counts=True)
         return int((copies > 1).sum())
 
-    counts = [left_with_duplicates(penalty) for penalty in (0, 10, 1000)]
+    counts = [count_duplicated(penalty) for penalty in (0, 10, 1000)]
     assert counts[0] < counts[1] < counts[2]
 
 
@@ -539,18 +541,18 @@ def test_the_shape_weight_keeps_the_shape_next_to_seams() -> None:
     is_seam = (np.abs(mesh.vertices[:, 1]) < 1e-9) & (mesh.vertices[:, 0] > 0)
     assert 30 < is_seam.sum() < 50
 
-    def distances(weight: float) -> np.ndarray:
+    def measure_distances(weight: float) -> np.ndarray:
         light = simplify(mesh, method="seams", ratio=0.05, seams={"shape_weight": weight}).mesh
         surface = RaycastingSurface(light, np.array([[-2.0] * 3, [2.0] * 3]))
         return surface.find_closest_points(mesh.vertices).distances
 
-    light, heavy = distances(0), distances(1000)
+    light, heavy = measure_distances(0), measure_distances(1000)
     assert np.sqrt((heavy[is_seam] ** 2).mean()) < 0.5 * np.sqrt((light[is_seam] ** 2).mean())
-    # At an equal count of triangles, the rest pays for it.
+    # At an equal triangle count, the rest of the surface has a larger error.
     assert np.sqrt((heavy[~is_seam] ** 2).mean()) > np.sqrt((light[~is_seam] ** 2).mean())
 
 
-def test_importance_keeps_triangles_where_it_is() -> None:
+def test_importance_keeps_triangles_at_important_vertices() -> None:
     mesh = wrapped_ball(rings=40, sectors=40, bumps=0.1)
     upper = mesh.vertices[:, 2] > 0
 
@@ -566,17 +568,19 @@ def test_importance_keeps_triangles_where_it_is() -> None:
     )
 
 
-def test_high_valence_is_put_off() -> None:
+def test_a_valence_penalty_reduces_high_valences() -> None:
     mesh = folded_strips(40, 41)
 
-    def beyond_eight(**changes: Any) -> int:
+    def sum_valences_above_eight(**changes: Any) -> int:
         light = simplify(mesh, method="seams", ratio=0.2, **changes).mesh
         return int(np.maximum(np.bincount(weld_corners(light).reshape(-1)) - 8, 0).sum())
 
-    assert beyond_eight(seams={"valence_penalty": 10}) < beyond_eight(seams={"valence_penalty": 0})
+    assert sum_valences_above_eight(seams={"valence_penalty": 10}) < sum_valences_above_eight(
+        seams={"valence_penalty": 0}
+    )
 
 
-def test_materials_are_borders() -> None:
+def test_material_borders_are_kept() -> None:
     mesh = wrapped_ball()
     assert mesh.texture is not None
     ids = (mesh.vertices[mesh.triangles].mean(axis=1)[:, 2] > 0).astype(np.int32)
@@ -591,11 +595,11 @@ def test_materials_are_borders() -> None:
         )
     )
     assert len(border) >= 3
-    # Materials meet at the equator, and stay there.
+    # Materials meet at the equator, also in the simplified mesh.
     assert np.abs(result.mesh.vertices[list(border), 2]).max() < 0.15
 
 
-def test_locked_vertices_stay() -> None:
+def test_locked_vertices_are_kept() -> None:
     mesh = wrapped_ball()
     locked = np.flatnonzero(mesh.vertices[:, 2] > 0.8)
     result = simplify(mesh, ratio=0.2, lock=locked)
@@ -603,10 +607,10 @@ def test_locked_vertices_stay() -> None:
     assert {tuple(v) for v in mesh.vertices[locked].tolist()} <= kept
 
 
-# -- what is chosen, and what is refused -----------------------------------------------------------------
+# -- selection and refusal --------------------------------------------------------------------------------
 
 
-def test_doubled_faces_stay_and_a_warning_says_what_helps() -> None:
+def test_double_faces_are_kept_with_a_warning_and_a_remedy() -> None:
     mesh = folded_strips(20, 11)
     assert mesh.texture is not None
     back = mesh.triangles[:, ::-1]
@@ -616,7 +620,7 @@ def test_doubled_faces_stay_and_a_warning_says_what_helps() -> None:
         texture=mesh.texture.select_triangles(np.tile(np.arange(len(back)), 2)),
     )
     result = simplify(both, ratio=0.2)
-    # What nothing has happened to is as it was.
+    # Without collapses, all corners are unchanged.
     np.testing.assert_array_equal(result.mesh.vertices[result.mesh.triangles], both.vertices[both.triangles])
     assert len(result.mesh.vertices) <= len(both.vertices)
     kept, warning, unmet = result.diagnostics
@@ -628,7 +632,7 @@ def test_doubled_faces_stay_and_a_warning_says_what_helps() -> None:
     assert light.diagnostics == (kept,)
 
 
-def test_a_vertex_far_away_does_not_make_all_others_one() -> None:
+def test_a_distant_vertex_does_not_join_all_other_vertices() -> None:
     ball = wrapped_ball(8, 10)
     far = len(ball.vertices)
     vertices = np.concatenate([ball.vertices, [[4e9, 0, 0]]])
@@ -641,7 +645,7 @@ def test_a_vertex_far_away_does_not_make_all_others_one() -> None:
     assert 0.4 * len(triangles) < len(light.mesh.triangles) <= 0.5 * len(triangles)
 
 
-def test_auto_takes_seams_where_texture_coordinates_stay_and_for_its_own_parameters() -> None:
+def test_auto_selects_seams_for_kept_texture_coordinates_and_parameters_of_seams() -> None:
     mesh = wrapped_ball(8, 10)
     assert simplify(mesh, ratio=0.5, keep_uv=True).method == "seams"
     assert simplify(mesh, ratio=0.5, seams={"max_seam_drift": 0.05}).method == "seams"
@@ -665,13 +669,13 @@ def test_auto_takes_seams_where_texture_coordinates_stay_and_for_its_own_paramet
         ({"ratio": 0.5, "seams": {"similar_distance": 5.0}}, "similar_distance is 5 m, far more"),
     ],
 )
-def test_parameters_that_do_not_fit(changes: dict[str, Any], words: str) -> None:
+def test_unsupported_parameters_are_refused(changes: dict[str, Any], words: str) -> None:
     with pytest.raises(UsageError, match=words):
         simplify(wrapped_ball(), **changes)
 
 
-def test_what_touches_in_many_sheets_is_left_whole() -> None:
-    """Three sheets that share an edge, each with copies of its own vertices: no manifold at all."""
+def test_several_sheets_at_an_edge_stay_connected() -> None:
+    """Three sheets share an edge, each with separate copies of its vertices."""
     n = 9
     x, y = np.meshgrid(np.linspace(0, 1, n), np.linspace(0, 1, n))
     at = np.arange(n * n).reshape(n, n)
@@ -697,7 +701,7 @@ def test_broken_files_give_a_result_that_is_no_worse(name: str) -> None:
     assert_sound(result.mesh, result.triangle_source, mesh)
 
 
-def test_a_mesh_without_triangles_stays_one() -> None:
+def test_a_mesh_without_triangles_is_accepted() -> None:
     result = simplify(Mesh(np.zeros((0, 3)), np.zeros((0, 3), np.int32)), method="seams", ratio=0.5)
     assert len(result.mesh.triangles) == 0
 
@@ -705,7 +709,7 @@ def test_a_mesh_without_triangles_stays_one() -> None:
 # -- the progressive record ------------------------------------------------------------------------------
 
 
-def recorded() -> tuple[Mesh, SimplificationResult, CollapseRecord]:
+def simplify_with_record() -> tuple[Mesh, SimplificationResult, CollapseRecord]:
     mesh = folded_strips(24, 9)
     colors = np.arange(3 * len(mesh.vertices)).reshape(-1, 3) % 256
     mesh = mesh.with_(colors=colors.astype(np.uint8), part_ids=None)
@@ -715,13 +719,13 @@ def recorded() -> tuple[Mesh, SimplificationResult, CollapseRecord]:
 
 
 def assert_equal(one: Mesh, other: Mesh) -> None:
-    np.testing.assert_array_equal(corner_attributes(one), corner_attributes(other))
+    np.testing.assert_array_equal(list_corner_attributes(one), list_corner_attributes(other))
     np.testing.assert_array_equal(one.triangles, other.triangles)
     np.testing.assert_array_equal(one.colors, other.colors)
 
 
-def test_the_record_replays_to_the_result_and_to_every_mesh_on_the_way() -> None:
-    mesh, result, record = recorded()
+def test_the_record_replays_to_the_result_and_to_every_intermediate_mesh() -> None:
+    mesh, result, record = simplify_with_record()
     assert_equal(record.replay().mesh, result.mesh)
     assert_equal(record.replay(collapses=0).mesh, simplify(mesh, method="seams", ratio=1.0).mesh)
     for collapses in range(0, len(record.removed) + 1, 7):

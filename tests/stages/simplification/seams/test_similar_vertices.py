@@ -1,4 +1,4 @@
-"""Pairs of near vertices are those a tree finds, however they lie."""
+"""Pairs of close vertices found by sorting are equal to pairs found by a tree."""
 
 import numpy as np
 import pytest
@@ -7,12 +7,12 @@ from scanloom.stages.simplification.seams.similar_vertices import _find_pairs_by
 
 
 @pytest.mark.parametrize("seed", range(40))
-def test_pairs_along_a_line_are_those_of_a_tree(seed):
+def test_pairs_found_by_sorting_equal_those_of_a_tree(seed):
     rng = np.random.default_rng(seed)
     scale = 10.0 ** rng.integers(-3, 4)
     places = rng.normal(size=(rng.integers(2, 800), 3)) * scale
     if seed % 3 == 0:
-        # A grid, as of a height field.
+        # Points on a grid, as in a height field.
         places = np.round(places / scale * 4) * scale / 4
     distance = scale * 10.0 ** rng.integers(-9, -2)
     copied = rng.integers(0, len(places), len(places) // 3)
@@ -23,12 +23,12 @@ def test_pairs_along_a_line_are_those_of_a_tree(seed):
     found = _find_pairs_by_sorting(places, distance)
 
     assert found is not None
-    assert unordered(found) == unordered(_find_pairs_by_tree(places, distance))
+    assert make_unordered(found) == make_unordered(_find_pairs_by_tree(places, distance))
 
 
-def test_where_all_are_near_it_is_left_to_the_tree():
+def test_sorting_is_refused_if_all_vertices_are_close():
     assert _find_pairs_by_sorting(np.random.default_rng(1).normal(size=(100, 3)) * 1e-3, 1.0) is None
 
 
-def unordered(pairs: np.ndarray) -> set[frozenset[int]]:
+def make_unordered(pairs: np.ndarray) -> set[frozenset[int]]:
     return {frozenset(pair) for pair in pairs.tolist()}

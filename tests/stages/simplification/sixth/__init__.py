@@ -1,1 +1,1 @@
-"""Method `cut`: what is above a height falls away. Made up, to be added to the table by a test."""
+"""Method `cut` for tests of the method table: removes everything above a height."""

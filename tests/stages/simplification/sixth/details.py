@@ -1,4 +1,4 @@
-"""What method `cut` has to tell."""
+"""Result details of method `cut`."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from scanloom.stages.simplification.result import Details
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class CutDetails(Details):
-    """What method `cut` has to tell."""
+    """Result details of method `cut`."""
 
     removed: int
 
     def describe(self) -> str:
-        """Say it in words."""
+        """Describe the result in a sentence."""
         return f"Cut off: {self.removed} triangles."

@@ -1,4 +1,4 @@
-"""Where method `cut` cuts."""
+"""Parameters of method `cut`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Cutting a mesh off at a height."""
+"""Method `cut`: remove everything above a height."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""glTF files made by hand with known answers, and what is written read back and held against the rules."""
+"""glTF files: handmade files with known content, round trips, and rules of the specification."""
 
 import base64
 import json
@@ -20,8 +20,8 @@ CODES = {"u1": 5121, "i1": 5120, "u2": 5123, "i2": 5122, "u4": 5125, "f4": 5126}
 COLUMNS = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4"}
 
 
-class Maker:
-    """Collects arrays in one buffer, with odd bytes between them."""
+class GltfBuilder:
+    """Builder of a glTF file: arrays in one buffer, with unaligned padding between them."""
 
     def __init__(self) -> None:
         self.tree = {
@@ -76,8 +76,8 @@ SQUARE = [(0, 0, 0), (1, 0, 0), (0, 1, 0), (1, 1, 0)]
         (5, None, None, [[0, 1, 2], [1, 3, 2]]),
     ],
 )
-def test_indices_strips_and_fans(tmp_path, mode, kind, indices, triangles):
-    make = Maker()
+def test_indices_strips_and_fans_are_read(tmp_path, mode, kind, indices, triangles):
+    make = GltfBuilder()
     primitive = {"attributes": {"POSITION": make.array(SQUARE, "f4")}, "mode": mode}
     if kind is not None:
         primitive["indices"] = make.array(indices, kind)
@@ -85,8 +85,8 @@ def test_indices_strips_and_fans(tmp_path, mode, kind, indices, triangles):
     assert make.read(tmp_path).triangles.tolist() == triangles
 
 
-def test_transforms_of_parents_and_mirrors(tmp_path):
-    make = Maker()
+def test_transforms_of_parent_nodes_and_mirrored_nodes_are_applied(tmp_path):
+    make = GltfBuilder()
     primitive = {
         "attributes": {
             "POSITION": make.array(TRIANGLE, "f4"),
@@ -107,19 +107,19 @@ def test_transforms_of_parents_and_mirrors(tmp_path):
         atol=1e-6,
     )
     assert mesh.triangles.tolist() == [[0, 2, 1], [3, 4, 5]]
-    # Normals go with the inverse transposed: z shrinks where the shape grows.
+    # Normals are transformed by the inverse transpose: z shrinks where positions grow.
     wanted = np.array([(0, 0.6, 0.2), (-0.6, 0, 0.2)]) / np.hypot(0.6, 0.2)
     np.testing.assert_allclose(mesh.normals[[0, 3]], wanted, atol=1e-6)
 
 
-def test_two_parents_or_a_circle_are_refused(tmp_path):
+def test_nodes_with_two_parents_or_a_cycle_are_refused(tmp_path):
     for nodes in ([{"children": [1]}, {"children": [0]}], [{"children": [2]}, {"children": [2]}, {}]):
         with pytest.raises(InputError, match="damaged"):
-            Maker().read(tmp_path, nodes=nodes, scenes=[{"nodes": [0, 1]}])
+            GltfBuilder().read(tmp_path, nodes=nodes, scenes=[{"nodes": [0, 1]}])
 
 
-def test_sparse_and_normalized_accessors(tmp_path):
-    make = Maker()
+def test_sparse_and_normalized_accessors_are_read(tmp_path):
+    make = GltfBuilder()
     rows, values = make.view(bytes([2])), make.view(struct.pack("<3f", 5, 6, 7))
     sparse = {
         "count": 1,
@@ -136,20 +136,18 @@ def test_sparse_and_normalized_accessors(tmp_path):
 
 @pytest.mark.parametrize(("kind", "unit"), [("f4", 1), ("u1", 255), ("u2", 65535)])
 @pytest.mark.parametrize("generator", ["Blender", "https://github.com/mikedh/trimesh"])
-def test_colors_are_light_unless_a_program_is_known_to_write_them_as_displayed(
-    tmp_path, kind, unit, generator
-):
-    make = Maker()
+def test_colors_are_linear_except_from_programs_that_write_srgb(tmp_path, kind, unit, generator):
+    make = GltfBuilder()
     light = np.array([(0, 0, 0, 1), (1, 1, 1, 1), (0.2140411, 0.2140411, 0.2140411, 1)]) * unit
     colors = make.array(light if kind == "f4" else np.rint(light), kind, normalized=kind != "f4")
     make.mesh({"attributes": {"POSITION": make.array(TRIANGLE, "f4"), "COLOR_0": colors}})
     mesh = make.read(tmp_path, asset={"version": "2.0", "generator": generator})
-    grey = 55 if generator.startswith("http") else 128  # a light of 0.214 is displayed as 0.5
+    grey = 55 if generator.startswith("http") else 128  # linear 0.214 is 0.5 in sRGB
     assert abs(mesh.colors[:, 0].astype(int) - [0, 255, grey]).max() <= 1
 
 
-def test_materials_textures_and_their_rest(tmp_path):
-    make = Maker()
+def test_materials_and_textures_survive_a_round_trip(tmp_path):
+    make = GltfBuilder()
     uvs = make.array([(0, 0), (1, 0), (0, 1)], "f4")
     positions = make.array(TRIANGLE, "f4")
     (tmp_path / "a wall.png").write_bytes(BLUE)
@@ -189,9 +187,9 @@ def test_materials_textures_and_their_rest(tmp_path):
     assert mesh.texture.material_ids.tolist() == [0, 1, -1]
     assert (paint.name, paint.wrap, paint.image.name) == ("lack 1", ("clamp", "mirror"), "paint")
     assert paint.image.encoded == RED
-    assert paint.base_color == pytest.approx((1, 0.7354, 0, 0.25), abs=1e-4)  # a light of 0.5
+    assert paint.base_color == pytest.approx((1, 0.7354, 0, 0.25), abs=1e-4)  # linear 0.5
     assert blue.base_color == (0, 0, 1, 1)
-    # Scaled to (2, 3), turned counter-clockwise in an image with v down, moved; then v up.
+    # Scaled by (2, 3), rotated counter-clockwise in an image with v down, and moved; then converted to v up.
     np.testing.assert_allclose(mesh.texture.uvs[0], [(0.5, 1), (0.5, 3), (3.5, 1)], atol=1e-12)
     messages = " ".join(one.message for one in mesh.diagnostics)
     for word in ("gone.png", "normalTexture", "clearcoatTexture", "TEXCOORD_1"):
@@ -202,8 +200,8 @@ def test_materials_textures_and_their_rest(tmp_path):
         write_gltf(tmp_path / "out" / name, mesh)
         back = read_gltf(tmp_path / "out" / name)
         assert back.diagnostics == ()
-        assert_same(back, mesh)
-        tree = json_of(tmp_path / "out" / name)
+        assert_same_mesh(back, mesh)
+        tree = read_tree(tmp_path / "out" / name)
         written = tree["materials"][0]
         assert written["alphaMode"] == "BLEND"
         assert written["pbrMetallicRoughness"]["baseColorFactor"] == [1, 0.5, 0, 0.25]
@@ -215,14 +213,14 @@ def test_materials_textures_and_their_rest(tmp_path):
     assert (tmp_path / "out" / "paint.png").read_bytes() == RED
 
 
-def json_of(path) -> dict:
+def read_tree(path) -> dict:
     data = path.read_bytes()
     return json.loads(
         data if path.suffix == ".gltf" else data[20 : 20 + int.from_bytes(data[12:16], "little")]
     )
 
 
-def assert_same(back: Mesh, mesh: Mesh) -> None:
+def assert_same_mesh(back: Mesh, mesh: Mesh) -> None:
     assert len(back.vertices) == len(mesh.vertices)
     np.testing.assert_allclose(
         back.vertices[back.triangles], mesh.vertices[mesh.triangles], rtol=1e-6, atol=1e-6
@@ -239,8 +237,8 @@ def assert_same(back: Mesh, mesh: Mesh) -> None:
         assert b.image is None or a.image.file_bytes == b.image.file_bytes
 
 
-def boxes() -> Mesh:
-    """Two tetrahedra, the second far from the first, in two parts with three materials and sharp edges."""
+def make_two_tetrahedra() -> Mesh:
+    """Make two distant tetrahedra: two parts, three materials, sharp edges."""
     rng = np.random.default_rng(0)
     corners = np.array([(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)], float)
     faces = np.array([(0, 2, 1), (0, 1, 3), (1, 2, 3), (0, 3, 2)])
@@ -265,9 +263,9 @@ def boxes() -> Mesh:
     )
 
 
-def rules_broken(path) -> list[str]:
-    """Check what the specification asks of a file's accessors, views and chunks."""
-    data, tree = path.read_bytes(), json_of(path)
+def list_violations(path) -> list[str]:
+    """Check accessors, views and chunks of a file against the specification."""
+    data, tree = path.read_bytes(), read_tree(path)
     size, length = struct.unpack("<8xI I", data[:16])
     body = data[20 + length + 8 :]
     broken = []
@@ -303,44 +301,44 @@ def rules_broken(path) -> list[str]:
     return broken
 
 
-def test_what_is_written_reads_back_and_keeps_the_rules(tmp_path):
-    mesh = boxes()
+def test_a_written_file_reads_back_and_follows_the_specification(tmp_path):
+    mesh = make_two_tetrahedra()
     write_gltf(tmp_path / "boxes.glb", mesh)
-    assert rules_broken(tmp_path / "boxes.glb") == []
-    assert [node["name"] for node in json_of(tmp_path / "boxes.glb")["nodes"]] == ["one of two", "two"]
-    assert_same(read_gltf(tmp_path / "boxes.glb"), mesh)
+    assert list_violations(tmp_path / "boxes.glb") == []
+    assert [node["name"] for node in read_tree(tmp_path / "boxes.glb")["nodes"]] == ["one of two", "two"]
+    assert_same_mesh(read_gltf(tmp_path / "boxes.glb"), mesh)
 
 
-def test_a_material_with_an_image_has_coordinates_even_where_none_are_known(tmp_path):
+def test_triangles_without_coordinates_get_them_if_their_material_has_an_image(tmp_path):
     corners = np.zeros((2, 3, 2))
     corners[0] = [(0, 0), (1, 0), (0, 1)]
     material = Material("a", Image("a.png", RED))
     texture = Texture(corners, np.zeros(2, np.int32), (material,))
     mesh = Mesh(np.array(SQUARE, float), np.array([[0, 1, 2], [2, 1, 3]], np.int32), texture=texture)
     write_gltf(tmp_path / "a.glb", mesh)
-    primitives = json_of(tmp_path / "a.glb")["meshes"][0]["primitives"]
+    primitives = read_tree(tmp_path / "a.glb")["meshes"][0]["primitives"]
     assert all("TEXCOORD_0" in primitive["attributes"] for primitive in primitives)
     back = read_gltf(tmp_path / "a.glb").texture
     assert back.has_uvs().tolist() == [True, False]
     np.testing.assert_array_equal(back.uvs, corners)
 
 
-def test_what_no_standard_knows_of_a_material_goes_no_further(tmp_path):
-    make = Maker()
+def test_unknown_properties_of_a_material_are_dropped(tmp_path):
+    make = GltfBuilder()
     make.mesh({"attributes": {"POSITION": make.array(TRIANGLE, "f4")}, "material": 0})
     strange = {"normalTexture": {"scale": "not a number"}, "someday": {"index": 3}}
     kept = {"name": "a", "doubleSided": True, "extras": {"own": 1}}
     mesh = make.read(tmp_path, materials=[{**strange, **kept}])
     assert any("normalTexture of material 'a' is left out" in one.message for one in mesh.diagnostics)
     write_gltf(tmp_path / "a.glb", mesh)
-    (material,) = json_of(tmp_path / "a.glb")["materials"]
+    (material,) = read_tree(tmp_path / "a.glb")["materials"]
     assert {name: material.pop(name) for name in kept} == kept
     assert set(material) <= {"pbrMetallicRoughness"}
 
 
-def test_triangles_of_one_material_are_put_together(tmp_path):
+def test_triangles_are_grouped_by_material(tmp_path):
     order = np.array([2, 0, 3, 1, 6, 4, 7, 5])
-    mesh = boxes()
+    mesh = make_two_tetrahedra()
     write_gltf(tmp_path / "boxes.glb", mesh.with_triangles(mesh.triangles[order], order))
     together = np.array([2, 3, 0, 1, 6, 7, 4, 5])
     back = read_gltf(tmp_path / "boxes.glb")
@@ -350,8 +348,8 @@ def test_triangles_of_one_material_are_put_together(tmp_path):
     ]  # fmt: skip
 
 
-def test_parts_that_share_vertices_stay_joined(tmp_path):
-    mesh = boxes().with_(part_ids=np.array([0, 0, 1, -1, 1, 1, 1, 1], np.int32))
+def test_parts_that_share_vertices_stay_connected(tmp_path):
+    mesh = make_two_tetrahedra().with_(part_ids=np.array([0, 0, 1, -1, 1, 1, 1, 1], np.int32))
     write_gltf(tmp_path / "boxes.glb", mesh)
     back = read_gltf(tmp_path / "boxes.glb")
     assert len(back.vertices) == 8
@@ -359,14 +357,14 @@ def test_parts_that_share_vertices_stay_joined(tmp_path):
     assert np.bincount(back.part_ids + 1).tolist() == [1, 2, 5]
 
 
-def test_colors_come_back_exactly_and_do_not_darken_an_image(tmp_path):
+def test_colors_are_exact_and_do_not_darken_images(tmp_path):
     rng = np.random.default_rng(0)
-    mesh = boxes().with_(colors=rng.integers(0, 256, (8, 3)).astype(np.uint8))
+    mesh = make_two_tetrahedra().with_(colors=rng.integers(0, 256, (8, 3)).astype(np.uint8))
     write_gltf(tmp_path / "boxes.glb", mesh)
     back = read_gltf(tmp_path / "boxes.glb")
     np.testing.assert_array_equal(back.colors[back.triangles], mesh.colors[mesh.triangles])
-    assert rules_broken(tmp_path / "boxes.glb") == []
-    tree = json_of(tmp_path / "boxes.glb")
+    assert list_violations(tmp_path / "boxes.glb") == []
+    tree = read_tree(tmp_path / "boxes.glb")
     for primitive in (p for mesh in tree["meshes"] for p in mesh["primitives"]):
         surface = tree["materials"][primitive["material"]]["pbrMetallicRoughness"]
         assert ("COLOR_0" in primitive["attributes"]) != ("baseColorTexture" in surface)
@@ -376,28 +374,30 @@ def test_colors_come_back_exactly_and_do_not_darken_an_image(tmp_path):
     np.testing.assert_array_equal(read_gltf(tmp_path / "every.glb").colors, every.colors)
 
 
-def test_far_from_the_origin_digits_are_kept(tmp_path):
-    mesh = boxes().with_(vertices=boxes().vertices * 0.1 + (500_000, 5_400_000, 300))
+def test_precision_is_kept_far_from_the_origin(tmp_path):
+    mesh = make_two_tetrahedra().with_(
+        vertices=make_two_tetrahedra().vertices * 0.1 + (500_000, 5_400_000, 300)
+    )
     write_gltf(tmp_path / "far.glb", mesh)
     back = read_gltf(tmp_path / "far.glb")
     moved = back.vertices[back.triangles] - mesh.vertices[mesh.triangles]
     assert abs(moved).max() < 1e-6
 
 
-def test_what_single_precision_cannot_hold_is_refused(tmp_path):
-    mesh = boxes().with_(vertices=boxes().vertices * 1e39)
+def test_positions_beyond_single_precision_are_refused(tmp_path):
+    mesh = make_two_tetrahedra().with_(vertices=make_two_tetrahedra().vertices * 1e39)
     with pytest.raises(MeshError, match=r"beyond single precision .* PLY"):
         write_gltf(tmp_path / "far.glb", mesh)
     assert not list(tmp_path.iterdir())
 
 
-def test_images_of_other_kinds_are_written_as_png(tmp_path):
+def test_images_in_other_formats_are_written_as_png(tmp_path):
     import cv2
 
     pixels = np.random.default_rng(0).integers(0, 256, (3, 5, 3)).astype(np.uint8)
     stored = cv2.imencode(".bmp", pixels[..., ::-1])[1].tobytes()
     materials = (Material("a", Image("a.bmp", stored)), Material("b", Image("b.png", RED[:60])))
-    mesh = boxes()
+    mesh = make_two_tetrahedra()
     texture = Texture(mesh.texture.uvs, np.repeat([0, 1], 4).astype(np.int32), materials)
     write_gltf(tmp_path / "a.glb", mesh.with_(texture=texture))
     back = read_gltf(tmp_path / "a.glb").texture
@@ -406,12 +406,12 @@ def test_images_of_other_kinds_are_written_as_png(tmp_path):
 
 
 @pytest.mark.parametrize("name", ["KHR_draco_mesh_compression"])
-def test_compressed_files_are_refused_with_what_to_do(tmp_path, name):
-    make = Maker()
+def test_unsupported_compression_is_refused_with_a_remedy(tmp_path, name):
+    make = GltfBuilder()
     make.mesh({"attributes": {"POSITION": make.array(TRIANGLE, "f4")}})
     with pytest.raises(InputError, match=f"{name}.*write it again without compression"):
         make.read(tmp_path, extensionsRequired=[name])
-    # What is unpacked would go into a buffer that the file does not hold.
+    # The decompressed data would be in a buffer without content.
     with pytest.raises(InputError, match=f"{name}.*write it again without compression"):
         make.read(tmp_path, extensionsRequired=[name], buffers=[{"byteLength": 1 << 20}])
 
@@ -428,15 +428,15 @@ def test_compressed_files_are_refused_with_what_to_do(tmp_path, name):
         {"sparse": {"count": 10**9}},
     ],
 )
-def test_accessors_beyond_their_bytes_are_refused(tmp_path, change):
-    make = Maker()
+def test_accessors_beyond_their_buffer_are_refused(tmp_path, change):
+    make = GltfBuilder()
     make.mesh({"attributes": {"POSITION": make.array(TRIANGLE, "f4", **change)}})
     with pytest.raises(InputError, match=r"made\.gltf"):
         make.read(tmp_path)
 
 
-def test_what_is_no_triangle_is_told(tmp_path):
-    make = Maker()
+def test_dropped_points_and_lines_are_reported(tmp_path):
+    make = GltfBuilder()
     positions = make.array(SQUARE, "f4")
     make.mesh(
         {"attributes": {"POSITION": positions}, "mode": 1}, {"attributes": {"POSITION": positions}, "mode": 5}
@@ -446,8 +446,8 @@ def test_what_is_no_triangle_is_told(tmp_path):
     assert [one.message for one in mesh.diagnostics] == ["points and lines are left out"]
 
 
-def test_what_a_file_has_beside_its_meshes_is_told(tmp_path):
-    make = Maker()
+def test_dropped_content_besides_meshes_is_reported(tmp_path):
+    make = GltfBuilder()
     numbers = make.array(np.zeros(4), "f4")
     make.mesh({"attributes": {"POSITION": make.array(SQUARE, "f4"), "_FEATURE_ID_0": numbers}, "mode": 5})
     lights = {"KHR_lights_punctual": {"lights": []}}

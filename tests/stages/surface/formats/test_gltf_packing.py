@@ -1,4 +1,4 @@
-"""glTF files in few bytes: whole numbers, packed rows, and what comes back of them."""
+"""Compressed glTF files: quantization, encoded buffers, and what is read back."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ from scanloom.stages.surface.formats.gltf_writer import write_gltf
 SMALL = [way for way in COMPRESSIONS if way != "none"]
 
 
-def textured() -> Mesh:
-    """Return a sheet with an image that is cut in two along a seam."""
+def make_textured_sheet() -> Mesh:
+    """Make a sheet with an image and a UV seam."""
     mesh = sheet()
     flat = mesh.vertices[mesh.triangles][:, :, :2] - (1, 2)
     uvs = flat * (0.45, 0.9) + 0.02
@@ -32,8 +32,8 @@ def textured() -> Mesh:
     return mesh.with_(colors=None, texture=Texture(uvs, ids, (Material("m", image),)))
 
 
-def parted() -> Mesh:
-    """Return two sheets that are parts, with normals of vertices."""
+def make_two_parts() -> Mesh:
+    """Make two sheets as two parts, with vertex normals."""
     one = sheet()
     count = len(one.vertices)
     up = np.tile((0.0, 0.0, 1.0), (2 * count, 1))
@@ -46,8 +46,8 @@ def parted() -> Mesh:
     )
 
 
-def in_order(mesh: Mesh) -> np.ndarray:
-    """Return the corners' positions of all triangles, in an order of their own."""
+def sort_corners(mesh: Mesh) -> np.ndarray:
+    """Return the corner positions of all triangles in an order that does not depend on the file."""
     corners = mesh.vertices[mesh.triangles]
     first = np.lexsort(corners.transpose(2, 0, 1).reshape(3, len(corners), 3)[::-1].max(axis=0).T)
     rolled = np.stack([np.roll(c, -int(np.lexsort(c.T)[0]), axis=0) for c in corners[first]])
@@ -55,9 +55,9 @@ def in_order(mesh: Mesh) -> np.ndarray:
 
 
 @pytest.mark.parametrize("way", SMALL)
-@pytest.mark.parametrize("made", [sheet, textured, parted])
+@pytest.mark.parametrize("made", [sheet, make_textured_sheet, make_two_parts])
 @pytest.mark.parametrize("suffix", [".glb", ".gltf"])
-def test_what_is_packed_comes_back_within_half_a_step(tmp_path, way, made, suffix):
+def test_quantized_values_are_within_half_a_step(tmp_path, way, made, suffix):
     mesh = made().with_(up=(0.0, -1.0, 0.0))
     path = tmp_path / f"a{suffix}"
     write_gltf(path, mesh, compress=way)
@@ -65,29 +65,29 @@ def test_what_is_packed_comes_back_within_half_a_step(tmp_path, way, made, suffi
     lattice = make_quantization_grid(mesh.vertices)
     kept = replace(mesh, vertices=lattice.origin + lattice.quantize(mesh.vertices)[:, :3] * lattice.step)
     assert np.abs(kept.vertices - mesh.vertices).max() <= lattice.step / 2 * (1 + 1e-9)
-    np.testing.assert_allclose(in_order(back), in_order(kept), atol=1e-9)
+    np.testing.assert_allclose(sort_corners(back), sort_corners(kept), atol=1e-9)
     assert back.part_names == mesh.part_names
     assert back.up == pytest.approx((0, -1, 0))
     if mesh.colors is not None:
 
-        def colored(one):
+        def list_colored_points(one):
             found = zip(one.vertices.round(6).tolist(), one.colors.tolist(), strict=True)
             return sorted((*p, *c) for p, c in found)
 
-        np.testing.assert_allclose(colored(back), colored(kept))
+        np.testing.assert_allclose(list_colored_points(back), list_colored_points(kept))
     if mesh.texture is not None:
         assert back.texture.images[0].file_bytes == mesh.texture.images[0].file_bytes
 
-        def placed(one):
+        def sort_corner_rows(one):
             rows = np.concatenate([one.vertices[one.triangles], one.texture.uvs], axis=2).reshape(-1, 5)
             return rows[np.lexsort(rows.round(4).T)]
 
-        np.testing.assert_allclose(placed(back), placed(kept), atol=1e-4)
+        np.testing.assert_allclose(sort_corner_rows(back), sort_corner_rows(kept), atol=1e-4)
     if mesh.normals is not None:
         np.testing.assert_allclose(back.normals, np.tile((0, 0, 1), (len(back.vertices), 1)), atol=0.01)
 
 
-def test_each_way_is_smaller_than_the_one_before(tmp_path):
+def test_each_compression_is_smaller_than_the_previous_one(tmp_path):
     sizes = []
     for way in COMPRESSIONS:
         write_gltf(tmp_path / "a.glb", sheet(60), compress=way)
@@ -96,8 +96,8 @@ def test_each_way_is_smaller_than_the_one_before(tmp_path):
     assert sizes[2] < 0.8 * sizes[1]
 
 
-def test_coordinates_beyond_the_image_stay_as_they_are(tmp_path):
-    mesh = textured()
+def test_texture_coordinates_beyond_the_image_are_kept(tmp_path):
+    mesh = make_textured_sheet()
     texture = replace(mesh.texture, uvs=mesh.texture.uvs * 7 - 3)
     write_gltf(tmp_path / "a.glb", mesh.with_(texture=texture), compress="meshopt")
     back = read_mesh(tmp_path / "a.glb").texture.uvs
@@ -106,8 +106,8 @@ def test_coordinates_beyond_the_image_stay_as_they_are(tmp_path):
 
 @pytest.mark.parametrize("steps", [1, 2, 8])
 @pytest.mark.parametrize("way", SMALL)
-def test_coordinates_may_be_in_steps_of_texels(tmp_path, way, steps):
-    mesh = textured()
+def test_texture_coordinates_can_be_quantized_to_texel_fractions(tmp_path, way, steps):
+    mesh = make_textured_sheet()
     write_gltf(tmp_path / "a.glb", mesh, compress=way, texel_steps=steps)
     tree = read_container(tmp_path / "a.glb").tree
     assert "KHR_texture_transform" in tree["extensionsRequired"]
@@ -117,19 +117,21 @@ def test_coordinates_may_be_in_steps_of_texels(tmp_path, way, steps):
     back = read_mesh(tmp_path / "a.glb")
     assert back.diagnostics == ()
 
-    def placed(one):
+    def sort_corner_rows(one):
         rows = np.concatenate([one.vertices[one.triangles], one.texture.uvs], axis=2).reshape(-1, 5)
         return rows[np.lexsort(rows[:, :2].round(3).T)]
 
-    off = np.abs(placed(back)[:, 3:] - placed(mesh)[:, 3:]).max()
+    off = np.abs(sort_corner_rows(back)[:, 3:] - sort_corner_rows(mesh)[:, 3:]).max()
     assert 0 < off <= 0.5 / (32 * steps) + 1e-9
-    # Read and written again, nothing more is lost, and nothing is scaled twice.
+    # A second round trip loses nothing, and does not scale twice.
     write_gltf(tmp_path / "b.glb", back, compress=way, texel_steps=steps)
-    np.testing.assert_allclose(placed(read_mesh(tmp_path / "b.glb"))[:, 3:], placed(back)[:, 3:], atol=1e-9)
+    np.testing.assert_allclose(
+        sort_corner_rows(read_mesh(tmp_path / "b.glb"))[:, 3:], sort_corner_rows(back)[:, 3:], atol=1e-9
+    )
 
 
-def test_steps_that_16_bits_do_not_hold_are_not_taken(tmp_path):
-    mesh = textured()
+def test_texel_fractions_beyond_16_bits_are_not_used(tmp_path):
+    mesh = make_textured_sheet()
     write_gltf(tmp_path / "a.glb", mesh, compress="quantize", texel_steps=4096)
     assert "KHR_texture_transform" not in (tmp_path / "a.glb").read_bytes().decode("latin-1")
     beyond = mesh.with_(texture=replace(mesh.texture, uvs=mesh.texture.uvs * 7 - 3))
@@ -140,36 +142,40 @@ def test_steps_that_16_bits_do_not_hold_are_not_taken(tmp_path):
 
 
 @pytest.mark.parametrize("bits", [8, 12, 14, 16])
-def test_fewer_bits_move_vertices_by_half_of_larger_steps(tmp_path, bits):
+def test_fewer_bits_give_a_larger_quantization_error(tmp_path, bits):
     mesh = sheet()
     write_gltf(tmp_path / "a.glb", mesh, compress="meshopt", position_bits=bits)
     back = read_mesh(tmp_path / "a.glb")
     lattice = make_quantization_grid(mesh.vertices, bits)
-    # A power of two, of which the longest side of 1 m has no more than fit.
+    # The step is a power of two, such that the longest side (1 m) fits into the bits.
     assert lattice.step == 2.0 ** (1 - bits)
     off = np.abs(np.sort(back.vertices, axis=0) - np.sort(mesh.vertices, axis=0)).max()
     assert lattice.step / 8 < off <= lattice.step / 2 + 1e-9
 
 
-def test_unlit_has_no_normals_and_shows_colours_as_they_are(tmp_path):
-    write_gltf(tmp_path / "a.glb", textured().with_(normals=np.tile((0.0, 0, 1), (144, 1))), shading="unlit")
+def test_unlit_files_have_no_normals_and_keep_colours(tmp_path):
+    write_gltf(
+        tmp_path / "a.glb",
+        make_textured_sheet().with_(normals=np.tile((0.0, 0, 1), (144, 1))),
+        shading="unlit",
+    )
     tree = read_container(tmp_path / "a.glb").tree
     assert tree["extensionsUsed"] == ["KHR_materials_unlit"]
     assert all("KHR_materials_unlit" in material["extensions"] for material in tree["materials"])
     assert "NORMAL" not in tree["meshes"][0]["primitives"][0]["attributes"]
     back = read_mesh(tmp_path / "a.glb")
     assert back.texture.materials[0].name == "m"
-    # A surface without any colour needs light to be seen.
+    # A mesh without colours is only visible with lighting.
     write_gltf(tmp_path / "b.glb", sheet().with_(colors=None), shading="unlit")
     assert "extensionsUsed" not in read_container(tmp_path / "b.glb").tree
-    # And colours of vertices alone are no material when they come back.
+    # Vertex colours alone are not read as a material.
     write_gltf(tmp_path / "c.glb", sheet(), shading="unlit")
     assert read_mesh(tmp_path / "c.glb").texture is None
 
 
 def test_unlit_excludes_the_extensions_of_lit_materials(tmp_path):
-    """Specular, ior and the like must not be used next to KHR_materials_unlit, by their specifications."""
-    write_gltf(tmp_path / "a.gltf", textured())
+    """Specular and ior must not occur next to KHR_materials_unlit, by their specifications."""
+    write_gltf(tmp_path / "a.gltf", make_textured_sheet())
     tree = json.loads((tmp_path / "a.gltf").read_text())
     tree["images"].append(dict(tree["images"][0]))
     tree["textures"].append({"source": 1})
@@ -190,7 +196,7 @@ def test_unlit_excludes_the_extensions_of_lit_materials(tmp_path):
         assert written["materials"][0]["extensions"] == extensions
         assert set(written["extensionsUsed"]) == set(extensions)
         assert len(written["images"]) == (1 if shading == "unlit" else 2)
-    # A second round trip changes nothing: an unlit material stays the one it is.
+    # A second round trip changes nothing: an unlit material stays unlit.
     write_gltf(tmp_path / "c.glb", lit, shading="unlit")
     write_gltf(tmp_path / "d.glb", read_mesh(tmp_path / "c.glb"), shading="keep")
     assert (
@@ -201,7 +207,7 @@ def test_unlit_excludes_the_extensions_of_lit_materials(tmp_path):
 
 @settings(max_examples=60, deadline=None)
 @given(st.integers(1, 300), st.integers(1, 16), st.integers(0, 2**32 - 1), st.booleans())
-def test_rows_come_back_to_the_bit(count, quarter, seed, smooth):
+def test_encoded_rows_are_decoded_exactly(count, quarter, seed, smooth):
     rng = np.random.default_rng(seed)
     rows = rng.integers(0, 256, (count, 4 * quarter)).astype(np.uint8)
     if smooth:
@@ -215,7 +221,7 @@ def test_rows_come_back_to_the_bit(count, quarter, seed, smooth):
 
 @settings(max_examples=60, deadline=None)
 @given(st.binary(max_size=400), st.integers(0, 2**40), st.sampled_from([4, 8, 12, 256]))
-def test_any_bytes_are_rows_or_refused(data, count, size):
+def test_arbitrary_bytes_are_decoded_or_refused(data, count, size):
     for of_mode in ("NONE", "OCTAHEDRAL", "QUATERNION", "EXPONENTIAL"):
         try:
             found = _kernels.decode_rows(b"\xa0" + data, count, size, of_mode)
@@ -233,7 +239,7 @@ def test_any_bytes_are_rows_or_refused(data, count, size):
 MAY_DO = ({"count": 143}, {"filter": "OCTAHEDRAL", "byteStride": 12})
 
 
-def test_half_the_bytes_of_a_view_are_damage(tmp_path):
+def test_changed_properties_of_an_encoded_view_are_damage(tmp_path):
     write_gltf(tmp_path / "a.gltf", sheet(), compress="meshopt")
     whole = (tmp_path / "a.gltf").read_text()
     for change in (
@@ -249,7 +255,7 @@ def test_half_the_bytes_of_a_view_are_damage(tmp_path):
             tree = json.loads(whole)
             tree["bufferViews"][number]["extensions"]["EXT_meshopt_compression"] |= change
             (tmp_path / "a.gltf").write_text(json.dumps(tree))
-            # Fewer rows, or another way to read them, may still make a mesh.
+            # A smaller count or another filter may still give a mesh.
             how = suppress(InputError) if change in MAY_DO else pytest.raises(InputError)
             with how:
                 read_mesh(tmp_path / "a.gltf")

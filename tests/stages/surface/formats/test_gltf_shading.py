@@ -1,4 +1,4 @@
-"""How glTF files take light: what other programs see of colours, and what scanloom reads back."""
+"""Shading of glTF files: colours in other programs, and what scanloom reads back."""
 
 from __future__ import annotations
 
@@ -21,26 +21,26 @@ from scanloom.stages.surface.formats.gltf_writer import write_gltf
 from scanloom.stages.surface.texture import Material
 
 
-def tree_of(path: Path):
+def read_tree(path: Path):
     return read_container(path).tree
 
 
-def primitives_of(path: Path):
-    return [one for mesh in tree_of(path)["meshes"] for one in mesh["primitives"]]
+def list_primitives(path: Path):
+    return [one for mesh in read_tree(path)["meshes"] for one in mesh["primitives"]]
 
 
-def light_of(mesh: Mesh) -> np.ndarray:
+def convert_to_linear(mesh: Mesh) -> np.ndarray:
     return np.rint(255 * convert_srgb_to_linear(mesh.colors / 255))
 
 
-def shown_as_a_scan() -> Mesh:
-    """Return a textured sheet as `texture` makes it."""
+def make_unlit_sheet() -> Mesh:
+    """Make a textured sheet with the materials that `texture` writes."""
     mesh = textured_sheet()
     materials = tuple(Material(m.name, m.image, kept=make_unlit_source()) for m in mesh.texture.materials)
     return mesh.with_(texture=Texture(mesh.texture.uvs, mesh.texture.material_ids, materials))
 
 
-def test_trimesh_has_the_colours_of_vertices_however_it_loads_a_file(tmp_path):
+def test_trimesh_reads_vertex_colours_with_every_loader(tmp_path):
     mesh = sheet().with_(up=UP)
     write_mesh(tmp_path / "a.glb", mesh)
     for seen in (
@@ -49,19 +49,22 @@ def test_trimesh_has_the_colours_of_vertices_however_it_loads_a_file(tmp_path):
         next(iter(trimesh.load(tmp_path / "a.glb", process=False).geometry.values())),
     ):
         assert seen.visual.kind == "vertex"
-        np.testing.assert_array_equal(seen.visual.vertex_colors[:, :3], light_of(mesh))
+        np.testing.assert_array_equal(seen.visual.vertex_colors[:, :3], convert_to_linear(mesh))
 
 
-def test_trimesh_forgets_them_beside_any_material(tmp_path):
-    """The day it does not, `bare` is needless: of `TextureVisuals.copy` in trimesh 5.2."""
+def test_trimesh_drops_vertex_colours_of_meshes_with_a_material(tmp_path):
+    """The reason for shading `bare`. If this fails, `bare` is not needed.
+
+    See `TextureVisuals.copy` in trimesh 5.2.
+    """
     write_gltf(tmp_path / "a.glb", sheet(), shading="keep")
     scene = trimesh.load(tmp_path / "a.glb")
     assert "color" in next(iter(scene.geometry.values())).visual.vertex_attributes
     assert "color" not in scene.to_mesh().visual.vertex_attributes
 
 
-def test_trimesh_has_the_image_in_any_case(tmp_path):
-    for number, mesh in enumerate((textured_sheet(), shown_as_a_scan())):
+def test_trimesh_reads_the_image(tmp_path):
+    for number, mesh in enumerate((textured_sheet(), make_unlit_sheet())):
         write_mesh(tmp_path / f"{number}.glb", mesh.with_(up=UP))
         seen = next(iter(trimesh.load(tmp_path / f"{number}.glb").geometry.values()))
         assert seen.visual.material.baseColorTexture.size == (64, 48)
@@ -69,52 +72,52 @@ def test_trimesh_has_the_image_in_any_case(tmp_path):
 
 
 @pytest.mark.parametrize("shading", SHADINGS)
-def test_open3d_has_the_colours(tmp_path, shading):
+def test_open3d_reads_the_colours(tmp_path, shading):
     mesh = sheet().with_(up=UP)
     write_gltf(tmp_path / "a.glb", mesh, shading=shading)
     seen = import_open3d().io.read_triangle_mesh(str(tmp_path / "a.glb"))
     found = np.rint(255 * np.asarray(seen.vertex_colors))
-    assert {tuple(row) for row in found} == {tuple(row) for row in light_of(mesh)}
+    assert {tuple(row) for row in found} == {tuple(row) for row in convert_to_linear(mesh)}
     heights = np.sort(np.asarray(seen.vertices)[:, 1])
     np.testing.assert_allclose(heights, np.sort(-mesh.vertices[:, 1]), atol=1e-6)
 
 
 @pytest.mark.parametrize("way", COMPRESSIONS)
 @pytest.mark.parametrize("shading", SHADINGS)
-def test_colours_of_vertices_have_a_material_but_in_a_bare_file(tmp_path, shading, way):
+def test_only_bare_files_have_vertex_colours_without_a_material(tmp_path, shading, way):
     write_gltf(tmp_path / "a.glb", sheet(), shading=shading, compress=way)
     has_none = shading == "bare" and way == "none"
-    assert all(("material" not in one) == has_none for one in primitives_of(tmp_path / "a.glb"))
-    assert ("materials" in tree_of(tmp_path / "a.glb")) != has_none
-    assert (UNLIT in tree_of(tmp_path / "a.glb").get("extensionsUsed", ())) == (shading == "unlit")
+    assert all(("material" not in one) == has_none for one in list_primitives(tmp_path / "a.glb"))
+    assert ("materials" in read_tree(tmp_path / "a.glb")) != has_none
+    assert (UNLIT in read_tree(tmp_path / "a.glb").get("extensionsUsed", ())) == (shading == "unlit")
     back = read_mesh(tmp_path / "a.glb")
     assert back.texture is None
     assert {tuple(c) for c in back.colors.tolist()} == {tuple(c) for c in sheet().colors.tolist()}
 
 
 @pytest.mark.parametrize("shading", SHADINGS)
-def test_what_has_no_colours_is_lit(tmp_path, shading):
+def test_a_mesh_without_colours_is_lit(tmp_path, shading):
     write_gltf(tmp_path / "a.glb", ball(), shading=shading)
-    assert all("material" in one for one in primitives_of(tmp_path / "a.glb"))
-    assert "extensionsUsed" not in tree_of(tmp_path / "a.glb")
+    assert all("material" in one for one in list_primitives(tmp_path / "a.glb"))
+    assert "extensionsUsed" not in read_tree(tmp_path / "a.glb")
 
 
 @pytest.mark.parametrize("shading", SHADINGS)
-def test_a_scan_stays_without_light_unless_it_is_lit(tmp_path, shading):
-    write_gltf(tmp_path / "a.glb", shown_as_a_scan())
-    assert tree_of(tmp_path / "a.glb")["extensionsUsed"] == [UNLIT]
+def test_a_scan_stays_unlit_unless_it_is_exported_as_lit(tmp_path, shading):
+    write_gltf(tmp_path / "a.glb", make_unlit_sheet())
+    assert read_tree(tmp_path / "a.glb")["extensionsUsed"] == [UNLIT]
     scan = read_mesh(tmp_path / "a.glb")
     assert all(map(is_unlit, scan.texture.materials))
     write_gltf(tmp_path / "b.glb", scan, shading=shading)
     back = read_mesh(tmp_path / "b.glb")
     assert all(is_unlit(m) != (shading == "lit") for m in back.texture.materials)
-    assert (UNLIT in tree_of(tmp_path / "b.glb").get("extensionsUsed", ())) == (shading != "lit")
+    assert (UNLIT in read_tree(tmp_path / "b.glb").get("extensionsUsed", ())) == (shading != "lit")
     assert back.texture.images[0].file_bytes == scan.texture.images[0].file_bytes
 
 
-def test_what_is_baked_of_a_scan_takes_no_light_either():
+def test_a_texture_baked_from_a_scan_is_unlit():
     light = sheet().with_(colors=None)
-    for original, unlit in ((shown_as_a_scan(), True), (textured_sheet(), False), (sheet(), False)):
+    for original, unlit in ((make_unlit_sheet(), True), (textured_sheet(), False), (sheet(), False)):
         (material,) = bake(light, original, texel_size=0.2).mesh.texture.materials
         assert is_unlit(material) is unlit
 
@@ -144,8 +147,8 @@ window.seen = async (bytes, light) => {
 """
 
 
-def in_one_colour(color: tuple[int, int, int], textured: bool) -> Mesh:
-    """Return a square of 2 m around the origin, towards +z."""
+def make_colored_square(color: tuple[int, int, int], textured: bool) -> Mesh:
+    """Make a square of 2 m around the origin, with its front towards +z."""
     vertices = np.array([(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)], float)
     mesh = Mesh(vertices, np.array([(0, 1, 2), (0, 2, 3)], np.int32), np.tile(np.uint8(color), (4, 1)))
     if not textured:
@@ -156,8 +159,8 @@ def in_one_colour(color: tuple[int, int, int], textured: bool) -> Mesh:
 
 
 @pytest.mark.slow
-def test_three_shows_the_colours(tmp_path):
-    """Without light what has its own is there; metal is dark, whatever the light around it."""
+def test_three_js_shows_the_colours(tmp_path):
+    """Unlit materials need no light; metallic materials are dark under ambient light."""
     color = (200, 120, 40)
     page = f"<script type=module>{PROGRAM}</script>"
     with launch_browser() as started:
@@ -171,22 +174,22 @@ def test_three_shows_the_colours(tmp_path):
         opened.goto("http://page/")
         opened.wait_for_function("() => Boolean(window.seen)")
 
-        def seen(textured: bool, light: float, **words):
-            write_gltf(tmp_path / "a.glb", in_one_colour(color, textured), **words)
-            told = opened.evaluate(f"seen({json.dumps(list((tmp_path / 'a.glb').read_bytes()))}, {light})")
-            ((kind, of_vertices, of_image),) = told["found"]
+        def show_in_browser(textured: bool, light: float, **words):
+            write_gltf(tmp_path / "a.glb", make_colored_square(color, textured), **words)
+            result = opened.evaluate(f"seen({json.dumps(list((tmp_path / 'a.glb').read_bytes()))}, {light})")
+            ((kind, of_vertices, of_image),) = result["found"]
             assert (of_vertices, of_image) == (not textured, textured)
-            return kind, np.array(told["pixel"][:3], int)
+            return kind, np.array(result["pixel"][:3], int)
 
         for textured in (False, True):
             for way, steps in (("none", 0), ("quantize", 0), ("meshopt", 2)):
-                kind, pixel = seen(textured, 0, compress=way, shading="unlit", texel_steps=steps)
+                kind, pixel = show_in_browser(textured, 0, compress=way, shading="unlit", texel_steps=steps)
                 assert kind == "MeshBasicMaterial"
                 np.testing.assert_allclose(pixel, color, atol=4)
-            kind, pixel = seen(textured, np.pi, shading="keep")
+            kind, pixel = show_in_browser(textured, np.pi, shading="keep")
             assert kind == "MeshStandardMaterial"
             np.testing.assert_allclose(pixel, color, atol=8)
-        # Why colours of vertices alone are told to be those of no metal where a viewer is meant.
-        kind, pixel = seen(False, np.pi, shading="bare")
+        # Reason for the non-metallic material of vertex colours in files for viewers.
+        kind, pixel = show_in_browser(False, np.pi, shading="bare")
         assert kind == "MeshStandardMaterial"
         assert pixel.max() < 10

@@ -1,4 +1,4 @@
-"""glTF files stand: a root turns them y up, and they come back in the axes of their scan."""
+"""Upright glTF files: a root node rotates the up axis to +y, and reading restores the axes of the scan."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from scanloom.stages.surface.up_direction import parse_up_direction, rotate_to_y
 AXES = ("+x", "-x", "+y", "-y", "+z", "-z")
 
 
-def up_as(word: str) -> tuple[float, float, float]:
+def parse_direction(word: str) -> tuple[float, float, float]:
     direction = parse_up_direction(word)
     assert direction is not None
     x, y, z = direction.tolist()
@@ -28,10 +28,10 @@ def up_as(word: str) -> tuple[float, float, float]:
 
 
 @pytest.mark.parametrize("word", AXES)
-def test_what_is_up_in_the_scan_is_up_in_the_file(tmp_path, word):
-    mesh = sheet().with_(up=up_as(word))
+def test_the_up_axis_of_the_scan_is_y_in_the_file(tmp_path, word):
+    mesh = sheet().with_(up=parse_direction(word))
     write_mesh(tmp_path / "a.glb", mesh)
-    # An independent reader, which places nodes.
+    # trimesh is an independent reader that applies node transforms.
     seen = trimesh.load(tmp_path / "a.glb", force="mesh", process=False)
     heights = mesh.vertices @ np.array(mesh.up)
     np.testing.assert_allclose(seen.vertices[:, 1], heights, atol=1e-6)
@@ -41,7 +41,7 @@ def test_what_is_up_in_the_scan_is_up_in_the_file(tmp_path, word):
 
 
 @given(st.tuples(*[st.floats(-1, 1)] * 3).filter(lambda v: np.linalg.norm(v) > 1e-3))
-def test_any_direction_turns_along_y_and_z(direction):
+def test_any_direction_is_rotated_to_y_and_z(direction):
     words = " ".join(map(repr, direction))
     up = parse_up_direction(words)
     assert up is not None
@@ -52,14 +52,14 @@ def test_any_direction_turns_along_y_and_z(direction):
 
 
 @pytest.mark.parametrize("up", ["sideways", "0 0 0", "1 2", "nan 0 0", "inf 0 0"])
-def test_what_is_no_direction_is_refused(up):
+def test_an_invalid_direction_is_refused(up):
     with pytest.raises(UsageError):
         parse_up_direction(up)
 
 
 @pytest.mark.parametrize("suffix", [".glb", ".gltf"])
-@pytest.mark.parametrize("up", [*map(up_as, AXES), (0.6, 0.0, 0.8), (0.01055, -0.001654, 0.9999)])
-def test_a_file_comes_back_in_the_axes_of_its_scan_to_the_bit(tmp_path, suffix, up):
+@pytest.mark.parametrize("up", [*map(parse_direction, AXES), (0.6, 0.0, 0.8), (0.01055, -0.001654, 0.9999)])
+def test_positions_are_restored_exactly_in_the_axes_of_the_scan(tmp_path, suffix, up):
     mesh = sheet().with_(up=up)
     write_mesh(tmp_path / f"a{suffix}", mesh)
     back = read_mesh(tmp_path / f"a{suffix}")
@@ -67,19 +67,19 @@ def test_a_file_comes_back_in_the_axes_of_its_scan_to_the_bit(tmp_path, suffix, 
     np.testing.assert_array_equal(back.triangles, mesh.triangles)
     np.testing.assert_allclose(back.up, np.array(up) / np.linalg.norm(up), atol=1e-12)
     assert back.diagnostics == ()
-    # And so again: nothing wanders.
+    # A second round trip changes nothing.
     write_mesh(tmp_path / f"b{suffix}", back)
     np.testing.assert_array_equal(read_mesh(tmp_path / f"b{suffix}").vertices, mesh.vertices)
 
 
-def test_far_from_the_origin_too(tmp_path):
+def test_positions_far_from_the_origin_are_restored(tmp_path):
     mesh = sheet().with_(vertices=sheet().vertices + np.array((4e5, 0, -3e5)), up=(0.6, 0.0, 0.8))
     write_mesh(tmp_path / "a.glb", mesh)
     back = read_mesh(tmp_path / "a.glb")
     np.testing.assert_allclose(back.vertices, mesh.vertices, atol=1e-6)
 
 
-def test_without_a_word_nothing_is_turned(tmp_path):
+def test_without_an_up_direction_nothing_is_rotated(tmp_path):
     write_mesh(tmp_path / "a.glb", sheet())
     gltf = read_container(tmp_path / "a.glb")
     assert "extras" not in gltf.tree["asset"]
@@ -102,21 +102,21 @@ def test_without_a_word_nothing_is_turned(tmp_path):
         [1e400] * 16,
     ],
 )
-def test_a_turn_that_is_none_is_told_and_left_out(tmp_path, given):
-    write_mesh(tmp_path / "a.gltf", sheet().with_(up=up_as("-y")))
+def test_an_invalid_rotation_is_dropped_with_a_diagnostic(tmp_path, given):
+    write_mesh(tmp_path / "a.gltf", sheet().with_(up=parse_direction("-y")))
     tree = json.loads((tmp_path / "a.gltf").read_text())
     tree["asset"]["extras"]["scan_from_world"] = given
     (tmp_path / "a.gltf").write_text(json.dumps(tree))
     back = read_mesh(tmp_path / "a.gltf")
     assert back.up is None
     assert any("scan_from_world" in one.message for one in back.diagnostics)
-    # As the file places it.
+    # Positions follow the nodes of the file.
     np.testing.assert_allclose(back.vertices, sheet().vertices * (1, -1, -1))
 
 
-def test_another_program_that_moved_the_model_is_followed(tmp_path):
-    """It is turned back by what the file says, and stays where it was put."""
-    write_mesh(tmp_path / "a.gltf", sheet().with_(up=up_as("-y")))
+def test_a_translation_by_another_program_is_kept(tmp_path):
+    """The stored rotation is undone, and the translation is rotated with it."""
+    write_mesh(tmp_path / "a.gltf", sheet().with_(up=parse_direction("-y")))
     tree = json.loads((tmp_path / "a.gltf").read_text())
     root = tree["scenes"][0]["nodes"][0]
     tree["nodes"][root]["matrix"][12:15] = [10, 20, 30]
@@ -127,6 +127,6 @@ def test_another_program_that_moved_the_model_is_followed(tmp_path):
 
 
 @pytest.mark.parametrize("up", [(0, 0, 0), (np.nan, 0, 0), (1, 0), "up"])
-def test_what_is_no_direction_is_no_mesh(up):
+def test_a_mesh_with_an_invalid_up_direction_is_refused(up):
     with pytest.raises(MeshError, match="up is"):
         simplify(sheet().with_(up=up), ratio=0.5)

@@ -1,4 +1,4 @@
-"""OBJ files with materials, groups and polygons; what is written back is what was read."""
+"""OBJ files with materials, groups and polygons, and their round trips."""
 
 from dataclasses import astuple
 
@@ -67,7 +67,7 @@ def folder(tmp_path):
     return tmp_path
 
 
-def test_materials_groups_and_polygons(folder):
+def test_materials_groups_and_polygons_are_read(folder):
     mesh = read_obj(folder / "made.obj")
     assert mesh.triangles.tolist() == [[0, 1, 2], [0, 2, 3], [0, 1, 4], [1, 2, 4], [2, 3, 4]]
     assert [material.name for material in mesh.texture.materials] == ["red wall", "glass", "unknown"]
@@ -77,7 +77,7 @@ def test_materials_groups_and_polygons(folder):
     assert (wall.wrap, wall.base_color) == (("clamp", "clamp"), None)
     assert (glass.base_color, glass.image) == ((0.25, 0.5, 1.0, 0.5), None)
     assert unknown.base_color is None
-    # Beyond 0..1 they are kept; triangles without have none.
+    # Coordinates beyond 0..1 are kept.
     assert mesh.texture.uvs[1].tolist() == [[0, 0], [2.5, -1], [0, -1]]
     assert mesh.texture.has_uvs().tolist() == [True, True, False, False, True]
     assert mesh.part_names == ("body/front side", "body", "lid")
@@ -91,7 +91,7 @@ def test_materials_groups_and_polygons(folder):
     )
 
 
-def assert_same(back: Mesh, mesh: Mesh) -> None:
+def assert_same_mesh(back: Mesh, mesh: Mesh) -> None:
     for name in ("vertices", "triangles", "colors", "normals", "corner_normals", "part_ids"):
         np.testing.assert_array_equal(getattr(back, name), getattr(mesh, name), err_msg=name)
     assert back.part_names == mesh.part_names
@@ -104,13 +104,13 @@ def assert_same(back: Mesh, mesh: Mesh) -> None:
             assert a.image.file_bytes == b.image.file_bytes
 
 
-def test_what_was_read_is_written_back(folder):
+def test_a_mesh_is_written_as_it_was_read(folder):
     mesh = read_obj(folder / "made.obj")
     (folder / "out").mkdir()
     write_obj(folder / "out" / "b c.obj", mesh)
     back = read_obj(folder / "out" / "b c.obj")
-    assert_same(back, mesh)
-    # The images as they were, and all lines of the materials that are known.
+    assert_same_mesh(back, mesh)
+    # Images have the same bytes, and known lines of materials are kept.
     assert (folder / "out" / "my wall.png").read_bytes() == RED
     assert (folder / "out" / "bump map.png").read_bytes() == BLUE
     lines = (folder / "out" / "b c.mtl").read_text().splitlines()
@@ -127,7 +127,7 @@ def test_what_was_read_is_written_back(folder):
     ]
 
 
-def test_images_of_other_files_are_not_written_over(folder):
+def test_images_of_other_files_are_not_overwritten(folder):
     mesh = read_obj(folder / "made.obj")
     out = folder / "out"
     out.mkdir()
@@ -135,10 +135,10 @@ def test_images_of_other_files_are_not_written_over(folder):
     write_obj(out / "a.obj", mesh)
     assert (out / "my wall.png").read_bytes() == BLUE
     assert (out / "a_my wall.png").read_bytes() == RED
-    assert_same(read_obj(out / "a.obj"), mesh)
+    assert_same_mesh(read_obj(out / "a.obj"), mesh)
 
 
-def test_new_images_and_equal_names(tmp_path):
+def test_computed_images_and_repeated_names_get_file_names(tmp_path):
     pixels = np.arange(24, dtype=np.uint8).reshape(2, 4, 3)
     images = (Image(given=pixels), Image("../a\nb?.png", RED), Image("../a\nb?.png", BLUE))
     materials = tuple(Material("same", image) for image in images)
@@ -150,14 +150,14 @@ def test_new_images_and_equal_names(tmp_path):
         "a_b_.png", "m.mtl", "m.obj", "m_0.png", "m_a_b_.png",
     ]  # fmt: skip
     back = read_obj(tmp_path / "m.obj")
-    # In the order in which they are used.
+    # Materials are in order of their first use.
     assert [m.name for m in back.texture.materials] == ["same_3", "same", "same_2"]
     assert back.texture.material_ids.tolist() == [0, -1, 1, 2]
     assert [m.image.encoded for m in back.texture.materials][::2] == [BLUE, RED]
     np.testing.assert_array_equal(back.texture.materials[1].image.pixels, pixels)
 
 
-def test_an_image_put_in_place_of_another_is_the_one_written(folder):
+def test_a_replaced_image_is_written(folder):
     mesh = read_obj(folder / "made.obj")
     wall, glass, _ = mesh.texture.materials
     new = Material(wall.name, Image("new.png", BLUE), wall.base_color, wall.wrap, wall.kept)
@@ -171,7 +171,7 @@ def test_an_image_put_in_place_of_another_is_the_one_written(folder):
 
 
 @pytest.mark.parametrize("kind", ["missing", "junk", "folder"])
-def test_an_image_that_cannot_be_read_leaves_the_rest(folder, kind):
+def test_an_unreadable_image_does_not_affect_the_mesh(folder, kind):
     (folder / "my wall.png").unlink()
     if kind == "junk":
         (folder / "my wall.png").write_bytes(b"<html>not found</html>")
@@ -187,7 +187,7 @@ def test_an_image_that_cannot_be_read_leaves_the_rest(folder, kind):
     assert "map_Kd -s 1 1 1 -clamp on my wall.png" in (folder / "out.mtl").read_text()
 
 
-def test_an_image_that_cannot_be_decoded_passes_through(folder):
+def test_an_undecodable_image_is_copied(folder):
     damaged = RED[:40] + bytes(60)
     (folder / "my wall.png").write_bytes(damaged)
     mesh = read_obj(folder / "made.obj")
@@ -200,16 +200,16 @@ def test_an_image_that_cannot_be_decoded_passes_through(folder):
     assert (folder / "out" / "my wall.png").read_bytes() == damaged
 
 
-def test_coordinates_that_are_no_numbers(tmp_path):
+def test_invalid_texture_coordinates_are_dropped(tmp_path):
     path = tmp_path / "a.obj"
     path.write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nvt nan 0\nvt 0 1\nvt 1 1\nf 1/1 2/2 3/3\nf 1/2 2/2 3/3\n")
     mesh = read_obj(path)
     assert mesh.texture.has_uvs().tolist() == [False, True]
-    assert mesh.texture.uvs[1].tolist() == [[0, 1], [0, 1], [1, 1]]  # no area, and kept
+    assert mesh.texture.uvs[1].tolist() == [[0, 1], [0, 1], [1, 1]]  # no area, but kept
     assert "1 triangles lose their texture" in mesh.diagnostics[0].message
 
 
-def test_several_libraries_in_one_statement(tmp_path):
+def test_several_libraries_in_one_statement_are_read(tmp_path):
     (tmp_path / "a.mtl").write_text("newmtl one\nKd 1 0 0\n")
     (tmp_path / "b c.mtl").write_text("newmtl two\nKd 0 1 0\nnewmtl one\nKd 0 0 1\n")
     start = "v 0 0 0\nv 1 0 0\nv 0 1 0\nusemtl one\nf 1 2 3\nusemtl two\nf 1 2 3\n"
@@ -224,14 +224,14 @@ def test_several_libraries_in_one_statement(tmp_path):
         assert [m.base_color for m in mesh.texture.materials] == [(1, 0, 0, 1), (0, 1, 0, 1)]
 
 
-def test_colors_of_materials_without_images(folder):
+def test_colors_come_from_materials_without_images(folder):
     colored = bake_vertex_colors(read_obj(folder / "made.obj"))
-    # Vertex 4 has corners of glass and of the wall.
+    # Vertex 4 has corners with glass and with the wall.
     assert colored.colors[2].tolist() == [200, 10, 20]
     assert colored.colors[1].tolist() == [(200 + 63.75) // 2 + 1, (10 + 127.5) // 2 + 1, (20 + 255) // 2 + 1]
 
 
-def test_names_from_before_unicode(tmp_path):
+def test_latin_1_names_are_read(tmp_path):
     (tmp_path / "größe.png").write_bytes(RED)
     (tmp_path / "m.mtl").write_bytes("newmtl blau\nmap_Kd größe.png\n".encode("latin-1"))
     (tmp_path / "m.obj").write_bytes(
@@ -262,7 +262,7 @@ USUAL = {
 
 
 @pytest.mark.parametrize("name", [*UNUSUAL, *USUAL])
-def test_lines_are_sorted_alike_in_bulk_and_one_by_one(monkeypatch, name):
+def test_both_statement_parsers_agree(monkeypatch, name):
     before, after = (UNUSUAL | USUAL)[name]
     data = (MODEL.replace(before, after) if before else MODEL).encode()
     in_bulk = obj_statements._sort_in_bulk(data.replace(b"\r\n", b"\n").replace(b"\r", b"\n") + b"\n")
@@ -293,13 +293,13 @@ def test_corners_of_each_form_are_read(tmp_path, forms):
 
 
 @pytest.mark.parametrize("face", ["f 1 2 - 3", "f 1 2 3-", "f 1 -- 2 3", "f 1-2 3 1", "f - 1 2 3"])
-def test_a_minus_sign_alone_is_no_number(tmp_path, face):
+def test_a_minus_sign_without_digits_is_refused(tmp_path, face):
     (tmp_path / "a.obj").write_text(f"v 0 0 0\nv 1 0 0\nv 0 1 0\n{face}\n")
     with pytest.raises(InputError, match=r"a\.obj: cannot be parsed: '[^']*-[^']*' is not a number"):
         read_obj(tmp_path / "a.obj")
 
 
-def test_triangles_written_in_all_forms_keep_their_places(tmp_path):
+def test_attributes_of_corners_stay_with_their_triangles(tmp_path):
     rng = np.random.default_rng(3)
     vertices, triangles = rng.normal(size=(9, 3)), rng.integers(0, 9, (60, 3)).astype(np.int32)
     uvs, normals = rng.random((60, 3, 2)) + 1, rng.normal(size=(60, 3, 3))
@@ -324,8 +324,8 @@ def test_triangles_written_in_all_forms_keep_their_places(tmp_path):
 
 
 @pytest.mark.parametrize(("low", "is_plain"), [(0.125, True), (0.1, False)])
-def test_an_image_is_clamped_in_words_only_where_that_shows(tmp_path, low, is_plain):
-    """Of four texels a side half a one is an eighth; many programs do not find an image behind an option."""
+def test_clamping_is_only_written_where_it_has_an_effect(tmp_path, low, is_plain):
+    """Half of one of four texels is 1/8. Many programs do not find an image name after an option."""
     uvs = np.array([[[low, 0.125], [0.875, 0.125], [0.875, 0.875]]])
     image = Image("paint.png", given=np.full((4, 4, 3), 90, np.uint8))
     texture = Texture(uvs, np.zeros(1, np.int32), (Material("paint", image, wrap=("clamp", "clamp")),))

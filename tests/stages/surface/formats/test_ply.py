@@ -1,4 +1,4 @@
-"""PLY files: what is written comes back to the bit, and what lies is refused at once."""
+"""PLY files: lossless round trips, and early refusal of false headers."""
 
 import resource
 import struct
@@ -20,7 +20,7 @@ XYZ = "property float x\nproperty float y\nproperty float z\n"
 FACE = "property list uchar int vertex_indices\n"
 
 
-def grid_mesh(count: int = 20, *, dtype: type = np.float64) -> Mesh:
+def make_random_mesh(count: int = 20, *, dtype: type = np.float64) -> Mesh:
     rng = np.random.default_rng(3)
     vertices = rng.normal(size=(count, 3)).astype(dtype).astype(np.float64)
     normals = vertices / np.linalg.norm(vertices, axis=1, keepdims=True)
@@ -32,7 +32,7 @@ def grid_mesh(count: int = 20, *, dtype: type = np.float64) -> Mesh:
     )
 
 
-def assert_same(actual: Mesh, expected: Mesh) -> None:
+def assert_same_mesh(actual: Mesh, expected: Mesh) -> None:
     for name in ("vertices", "triangles", "colors", "normals"):
         a, b = getattr(actual, name), getattr(expected, name)
         assert (a is None) == (b is None), name
@@ -52,11 +52,11 @@ def make(tmp_path):
 
 
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
-def test_round_trip_is_exact(tmp_path, dtype):
-    mesh = grid_mesh(dtype=dtype)
+def test_a_round_trip_is_exact(tmp_path, dtype):
+    mesh = make_random_mesh(dtype=dtype)
     path = tmp_path / "mesh.ply"
     write_ply(path, mesh)
-    assert_same(read_ply(path), mesh)
+    assert_same_mesh(read_ply(path), mesh)
     kind = b"float" if dtype is np.float32 else b"double"
     assert b"property " + kind + b" x\n" in path.read_bytes()
     assert [p.name for p in tmp_path.iterdir()] == ["mesh.ply"]
@@ -64,23 +64,23 @@ def test_round_trip_is_exact(tmp_path, dtype):
 
 @settings(deadline=None)
 @given(st.lists(st.tuples(*[st.floats(allow_nan=False, allow_infinity=False)] * 3), min_size=0, max_size=30))
-def test_any_finite_position_survives(tmp_path_factory, rows):
+def test_any_finite_position_is_kept(tmp_path_factory, rows):
     path = tmp_path_factory.getbasetemp() / "any.ply"
     vertices = np.array(rows, np.float64).reshape(-1, 3)
     write_ply(path, Mesh(vertices, np.zeros((0, 3), np.int32)))
     back = read_ply(path).vertices
-    assert back.tobytes() == vertices.tobytes()  # bytes: the sign of zero survives too
+    assert back.tobytes() == vertices.tobytes()  # bytes, to compare the sign of zero
 
 
-def test_texture_round_trip(tmp_path):
-    mesh = grid_mesh()
+def test_a_texture_survives_a_round_trip(tmp_path):
+    mesh = make_random_mesh()
     rng = np.random.default_rng(0)
     images = tuple(rng.integers(0, 256, (4, 6, channels)).astype(np.uint8) for channels in (3, 4))
     materials = tuple(Material(image=Image(given=image)) for image in images)
     texture = Texture(rng.random((40, 3, 2)), rng.integers(-1, 2, 40).astype(np.int32), materials)
     write_ply(tmp_path / "mesh.ply", mesh.with_(texture=texture))
     back = read_ply(tmp_path / "mesh.ply")
-    assert_same(back, mesh)
+    assert_same_mesh(back, mesh)
     np.testing.assert_array_equal(back.texture.uvs, texture.uvs)
     np.testing.assert_array_equal(back.texture.material_ids, texture.material_ids)
     for a, b in zip(back.texture.images, images, strict=True):
@@ -92,12 +92,12 @@ def test_texture_round_trip(tmp_path):
     assert "mesh_1.png" in back.diagnostics[0].message
 
 
-def test_other_programs_read_what_is_written(tmp_path):
+def test_other_programs_read_written_files(tmp_path):
     import trimesh
 
     from scanloom.stages._open3d import import_open3d
 
-    mesh = grid_mesh()
+    mesh = make_random_mesh()
     path = tmp_path / "mesh.ply"
     write_ply(path, mesh)
     theirs = trimesh.load(path, process=False)
@@ -105,14 +105,16 @@ def test_other_programs_read_what_is_written(tmp_path):
     np.testing.assert_array_equal(theirs.faces, mesh.triangles)
     np.testing.assert_array_equal(theirs.visual.vertex_colors[:, :3], mesh.colors)
     theirs = import_open3d().t.io.read_triangle_mesh(str(path))
-    np.testing.assert_allclose(theirs.vertex.positions.numpy(), mesh.vertices, rtol=1e-6)  # it reads floats
+    np.testing.assert_allclose(
+        theirs.vertex.positions.numpy(), mesh.vertices, rtol=1e-6
+    )  # Open3D reads float32
     np.testing.assert_array_equal(theirs.triangle.indices.numpy(), mesh.triangles)
     np.testing.assert_allclose(theirs.vertex.colors.numpy() * 255, mesh.colors, atol=1e-3)
 
 
 @pytest.mark.parametrize("encoding", ["ascii", "binary_little_endian", "binary_big_endian"])
 @pytest.mark.parametrize("newline", ["\n", "\r\n", "\r"])
-def test_all_encodings_with_mixed_polygons_and_strange_columns(tmp_path, encoding, newline):
+def test_all_encodings_with_mixed_polygons_and_unknown_columns_are_read(tmp_path, encoding, newline):
     header = [
         "ply", f"format {encoding} 1.0", "comment by hand", "obj_info nothing",
         "element marker 1", "property list uchar short ids", "property double weight",
@@ -165,7 +167,7 @@ def test_all_encodings_with_mixed_polygons_and_strange_columns(tmp_path, encodin
     )
 
 
-def test_strips_turn_every_second_triangle(make):
+def test_strips_alternate_the_orientation_of_triangles(make):
     strip = np.array([0, 1, 2, 3, -1, 3, 2, 1, 1, 0], "<i4")
     body = np.zeros(12, "<f4").tobytes() + struct.pack("<i", len(strip)) + strip.tobytes()
     path = make(
@@ -173,14 +175,14 @@ def test_strips_turn_every_second_triangle(make):
         body,
         "binary_little_endian",
     )
-    # Of the second strip only its first triangle names three vertices.
+    # In the second strip, only the first triangle has three different vertices.
     assert read_ply(path).triangles.tolist() == [[0, 1, 2], [2, 1, 3], [3, 2, 1]]
 
 
-def test_real_strips_decode_to_the_same_surface(shared_data):
+def test_real_strips_give_the_same_surface_as_faces(shared_data):
     strips = read_ply(shared_data / "broken" / "igea_tristrips.ply")
     faces = read_ply(shared_data / "meshes" / "igea.ply")
-    assert_same(strips, faces)
+    assert_same_mesh(strips, faces)
 
 
 @pytest.mark.parametrize(
@@ -193,21 +195,21 @@ def test_real_strips_decode_to_the_same_surface(shared_data):
         ("float", ("nan", 0.5, 1.0), (0, 128, 255)),
     ],
 )
-def test_colors_of_all_types(make, kind, written, read):
+def test_colors_of_all_types_are_read(make, kind, written, read):
     header = f"element vertex 1\n{XYZ}" + "".join(f"property {kind} {c}\n" for c in ("red", "green", "blue"))
     mesh = read_ply(make(header, f"0 0 0 {' '.join(map(str, written))}\n".encode()))
     assert mesh.colors.tolist() == [list(read)]
     assert bool(mesh.diagnostics) == ("nan" in written)
 
 
-def test_texture_coordinates_per_vertex(make):
+def test_texture_coordinates_of_vertices_are_read(make):
     header = f"element vertex 3\n{XYZ}property float s\nproperty float t\nelement face 1\n{FACE}"
     mesh = read_ply(make(header, b"0 0 0 0 0.5  1 0 0 1 0.25  0 1 0 0 1\n3 2 0 1\n"))
     assert mesh.texture.uvs.tolist() == [[[0, 1], [0, 0.5], [1, 0.25]]]
     assert mesh.texture.material_ids.tolist() == [-1]
 
 
-def test_colors_of_faces_and_odd_normals_are_told(make):
+def test_face_colours_and_invalid_normals_are_reported(make):
     normals = "property float nx\nproperty float ny\nproperty float nz\n"
     header = f"element vertex 3\n{XYZ}{normals}element face 1\n{FACE}property uchar red\n"
     mesh = read_ply(make(header, b"0 0 0 nan 0 1 1 0 0 0 0 1 0 1 0 0 0 1 3 0 1 2 9"))
@@ -250,13 +252,13 @@ SQUARE = b"0 0 0 1 0 0 1 1 0 0 1 0 "
         (f"element vertex 1\n{XYZ}", b"0 0 1e999\n", "not finite"),
     ],
 )
-def test_hostile_text(make, header, body, sentence):
+def test_malicious_text_files_are_one_error(make, header, body, sentence):
     with pytest.raises(InputError, match=sentence) as caught:
         read_ply(make(header, body))
     assert "made.ply" in str(caught.value)
 
 
-def test_a_damaged_file_gives_values_and_a_remedy(make):
+def test_a_damaged_file_has_values_and_a_remedy(make):
     with pytest.raises(InputError) as caught:
         read_ply(make(f"element vertex 4\n{XYZ}", b"0.25 0.25 0.25 0.25 0.25 0.25 0.25\n"))
     found = caught.value.diagnostic
@@ -271,26 +273,26 @@ def test_a_damaged_file_gives_values_and_a_remedy(make):
     assert caught.value.diagnostic.values["line"] == "element vertex {x}"
     with pytest.raises(InputError) as caught:
         read_ply(make(f"element vertex 4\n{XYZ}element face 1\n{FACE}", SQUARE + b"nan 0 1 2"))
-    # JSON has no number for it.
+    # JSON has no NaN.
     assert caught.value.diagnostic.values["length"] == "nan"
 
 
-def le(fmt: str, *values: float) -> bytes:
+def pack_little_endian(fmt: str, *values: float) -> bytes:
     return struct.pack("<" + fmt, *values)
 
 
 @pytest.mark.parametrize(
     ("list_type", "body", "sentence"),
     [
-        ("uint", le("I3i", 0xFFFFFFFF, 0, 1, 2), "ends within face 0"),
-        ("int", le("i3i", -1, 0, 1, 2), "list of length -1"),
-        ("float", le("f3i", float("inf"), 0, 1, 2), "list of length inf"),
-        ("uchar", le("B3iB3i", 3, 0, 1, 2, 255, 0, 1, 2), "ends within face 1"),
-        ("uchar", le("B4iB2i", 4, 0, 1, 2, 3, 3, 0, 1), "ends within face 1"),
-        ("uchar", le("B3iB3i", 3, 0, 1, 2, 3, 0, 1, 2**31 - 1), "triangle 1 uses vertices"),
+        ("uint", pack_little_endian("I3i", 0xFFFFFFFF, 0, 1, 2), "ends within face 0"),
+        ("int", pack_little_endian("i3i", -1, 0, 1, 2), "list of length -1"),
+        ("float", pack_little_endian("f3i", float("inf"), 0, 1, 2), "list of length inf"),
+        ("uchar", pack_little_endian("B3iB3i", 3, 0, 1, 2, 255, 0, 1, 2), "ends within face 1"),
+        ("uchar", pack_little_endian("B4iB2i", 4, 0, 1, 2, 3, 3, 0, 1), "ends within face 1"),
+        ("uchar", pack_little_endian("B3iB3i", 3, 0, 1, 2, 3, 0, 1, 2**31 - 1), "triangle 1 uses vertices"),
     ],
 )
-def test_hostile_binary_lists(make, list_type, body, sentence):
+def test_malicious_binary_lists_are_one_error(make, list_type, body, sentence):
     header = f"element vertex 4\n{XYZ}element face 2\nproperty list {list_type} int vertex_indices\n"
     with pytest.raises(InputError, match=sentence):
         read_ply(make(header, bytes(48) + body, "binary_little_endian"))
@@ -309,14 +311,14 @@ def test_hostile_binary_lists(make, list_type, body, sentence):
         (b"ply\nformat ascii 1.0\nnonsense\nend_header\n", "'nonsense', which is not understood"),
     ],
 )
-def test_hostile_headers(tmp_path, data, sentence):
+def test_malicious_headers_are_one_error(tmp_path, data, sentence):
     path = tmp_path / "made.ply"
     path.write_bytes(data)
     with pytest.raises(InputError, match=sentence):
         read_ply(path)
 
 
-def test_a_lying_header_costs_neither_time_nor_memory(make):
+def test_a_false_count_costs_neither_time_nor_memory(make):
     path = make(f"element vertex {10**15}\n{XYZ}", bytes(120), "binary_little_endian")
     before, start = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, time.process_time()
     with pytest.raises(InputError):
@@ -325,9 +327,9 @@ def test_a_lying_header_costs_neither_time_nor_memory(make):
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 10_000  # kB
 
 
-def test_every_cut_of_a_file_is_refused_or_told_apart(tmp_path):
+def test_every_truncation_of_a_file_is_refused(tmp_path):
     whole = tmp_path / "whole.ply"
-    write_ply(whole, grid_mesh(5))
+    write_ply(whole, make_random_mesh(5))
     data = whole.read_bytes()
     path = tmp_path / "cut.ply"
     for size in range(len(data)):
@@ -340,7 +342,7 @@ def test_every_cut_of_a_file_is_refused_or_told_apart(tmp_path):
 @given(st.data())
 def test_damaged_bytes_never_crash(tmp_path_factory, data):
     folder = tmp_path_factory.getbasetemp()
-    write_ply(folder / "sound.ply", grid_mesh(4))
+    write_ply(folder / "sound.ply", make_random_mesh(4))
     content = bytearray((folder / "sound.ply").read_bytes())
     for _ in range(data.draw(st.integers(1, 4))):
         content[data.draw(st.integers(0, len(content) - 1))] = data.draw(st.integers(0, 255))
@@ -355,14 +357,14 @@ def test_damaged_bytes_never_crash(tmp_path_factory, data):
     )
 
 
-def test_missing_file_and_folder(tmp_path):
+def test_a_missing_file_or_a_folder_is_reported(tmp_path):
     with pytest.raises(InputError, match="cannot be read"):
         read_ply(tmp_path / "none.ply")
     with pytest.raises(InputError, match="cannot be read"):
         read_ply(tmp_path)
 
 
-def test_cloud(tmp_path):
+def test_a_point_cloud_survives_a_round_trip(tmp_path):
     rng = np.random.default_rng(0)
     points, colors = rng.normal(size=(50, 3)), rng.integers(0, 256, (50, 3)).astype(np.uint8)
     write_ply_cloud(tmp_path / "cloud.ply", points, colors)
@@ -375,27 +377,27 @@ def test_cloud(tmp_path):
     assert not (tmp_path / "bad.ply").exists()
 
 
-def test_a_failed_write_leaves_the_old_file(tmp_path, monkeypatch):
+def test_a_failed_write_keeps_the_old_file(tmp_path, monkeypatch):
     path = tmp_path / "mesh.ply"
-    write_ply(path, grid_mesh(5))
+    write_ply(path, make_random_mesh(5))
     before = path.read_bytes()
 
-    def full(_: int) -> None:
+    def raise_disk_full(_: int) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("os.fsync", full)
+    monkeypatch.setattr("os.fsync", raise_disk_full)
     with pytest.raises(StageError, match="No space left"):
-        write_ply(path, grid_mesh(6))
+        write_ply(path, make_random_mesh(6))
     assert path.read_bytes() == before
     assert [p.name for p in tmp_path.iterdir()] == ["mesh.ply"]
 
 
-def test_writing_into_a_missing_folder_is_one_sentence(tmp_path):
+def test_writing_into_a_missing_folder_is_one_error(tmp_path):
     with pytest.raises(StageError, match="cannot be written"):
-        write_ply(tmp_path / "none" / "mesh.ply", grid_mesh(5))
+        write_ply(tmp_path / "none" / "mesh.ply", make_random_mesh(5))
 
 
-def test_values_of_vertices_and_faces_are_written_and_passed_over(tmp_path):
+def test_extra_vertex_and_face_values_are_written_and_ignored_by_the_reader(tmp_path):
     path = tmp_path / "mesh.ply"
     square = Mesh(np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0.0]]), np.array([[0, 1, 2], [0, 2, 3]]))
     confidence = np.array([0.1, 0.5, 1 / 3, 1e-300])
@@ -406,8 +408,8 @@ def test_values_of_vertices_and_faces_are_written_and_passed_over(tmp_path):
     np.testing.assert_array_equal(read_ply(path).vertices, square.vertices)
 
 
-def test_materials_parts_and_normals_of_corners_come_back(tmp_path):
-    mesh = grid_mesh()
+def test_materials_parts_and_corner_normals_survive_a_round_trip(tmp_path):
+    mesh = make_random_mesh()
     rng = np.random.default_rng(0)
     image = Image("my wall.png", Image(given=rng.integers(0, 256, (4, 6, 3)).astype(np.uint8)).file_bytes)
     materials = (
@@ -425,7 +427,7 @@ def test_materials_parts_and_normals_of_corners_come_back(tmp_path):
     assert sorted(p.name for p in tmp_path.iterdir()) == ["a mesh.ply", "my wall.png"]
     assert (tmp_path / "my wall.png").read_bytes() == image.encoded
     back = read_ply(tmp_path / "a mesh.ply")
-    assert_same(back, mesh)
+    assert_same_mesh(back, mesh)
     assert back.part_names == mesh.part_names
     np.testing.assert_array_equal(back.part_ids, mesh.part_ids)
     np.testing.assert_array_equal(back.corner_normals, mesh.corner_normals)
@@ -452,7 +454,7 @@ property list uchar int vertex_indices
 
 
 @pytest.mark.parametrize("names", [("s", "t"), ("u", "v"), ("texture_u", "texture_v")])
-def test_coordinates_of_vertices_and_a_missing_image(tmp_path, names):
+def test_texture_coordinates_of_vertices_with_a_missing_image_are_read(tmp_path, names):
     header = TEXTURED.format(vertex="".join(f"property double {name}\n" for name in names), face="")
     rows = "0 0 0 0 0\n1 0 0 -3.5 0.1\n1 1 0 1 1\n0 1 0 nan 0\n3 0 1 2\n3 0 2 3\n"
     (tmp_path / "a.ply").write_text(header + rows)
@@ -466,7 +468,7 @@ def test_coordinates_of_vertices_and_a_missing_image(tmp_path, names):
     )
 
 
-def test_coordinates_that_some_faces_lack(tmp_path):
+def test_faces_without_texture_coordinates_get_zeros(tmp_path):
     header = TEXTURED.format(vertex="", face="property list uchar float texcoord\n")
     rows = "0 0 0\n1 0 0\n1 1 0\n0 1 0\n3 0 1 2 0\n3 0 2 3 6 0 0 1 0 2 5\n"
     (tmp_path / "a.ply").write_text(header + rows)
@@ -475,7 +477,7 @@ def test_coordinates_that_some_faces_lack(tmp_path):
 
 
 @pytest.mark.parametrize("text", ["{", "[]", '{"image": 7}', '{"base_color": [1, 2]}', '{"wrap": 5}', "7"])
-def test_comments_that_mean_nothing_are_no_material(tmp_path, text):
+def test_malformed_material_comments_are_ignored(tmp_path, text):
     header = TEXTURED.format(vertex="", face="property int material_index\n")
     header = header.replace("comment", f"comment Material {text}\ncomment", 1)
     (tmp_path / "a.ply").write_text(header + "0 0 0\n1 0 0\n1 1 0\n0 1 0\n3 0 1 2 0\n3 0 2 3 5\n")
@@ -484,7 +486,7 @@ def test_comments_that_mean_nothing_are_no_material(tmp_path, text):
     assert mesh.texture.materials[0].image is None
 
 
-def test_what_scanloom_measured_of_a_mesh_is_passed_over_without_a_word(tmp_path):
+def test_values_measured_by_scanloom_are_ignored_silently(tmp_path):
     mesh = Mesh(np.eye(3), np.array([[0, 1, 2]], np.int32))
     names = (*covering.VERTEX_VALUES, stored_deviations.VERTEX_PROPERTY)
     faces = {name: np.zeros(1) for name in ("shape_bound", "color_bound", "patch")}

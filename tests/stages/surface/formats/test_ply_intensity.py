@@ -48,7 +48,7 @@ def write_text(
         ("double", [0, 1e5, 5e4, 5.1e5], [0, 50, 25, 255], 5.1e5),
     ],
 )
-def test_round_trip(
+def test_intensities_survive_a_round_trip(
     tmp_path: Path, kind: str, values: list[float], levels: list[int], full_scale: float
 ) -> None:
     mesh = read_mesh(write_text(tmp_path / "given.ply", kind, values))
@@ -67,7 +67,7 @@ def test_round_trip(
     np.testing.assert_array_equal(again.colors, mesh.colors)
 
 
-def test_colors_come_first(tmp_path: Path) -> None:
+def test_colors_have_priority_over_intensity(tmp_path: Path) -> None:
     mesh = read_mesh(write_text(tmp_path / "given.ply", "uchar", [1, 2, 3, 4], colors=True))
     assert mesh.colors is not None
     assert mesh.colors.tolist() == [[9, 8, 7]] * 4
@@ -75,13 +75,13 @@ def test_colors_come_first(tmp_path: Path) -> None:
     assert ["intensity" in str(one) for one in mesh.diagnostics] == [True]
 
 
-def test_intensity_of_a_point_cloud_is_no_color(tmp_path: Path) -> None:
+def test_a_point_cloud_gets_no_color_from_its_intensity(tmp_path: Path) -> None:
     cloud = read_ply(write_text(tmp_path / "given.ply", "uchar", [1, 2, 3, 4], triangles=False))
     assert cloud.colors is None
     assert ["intensity" in str(one) for one in cloud.diagnostics] == [True]
 
 
-def test_invalid_intensities_become_zero_with_a_warning(tmp_path: Path) -> None:
+def test_invalid_values_become_zero_with_a_warning(tmp_path: Path) -> None:
     mesh = read_mesh(write_text(tmp_path / "given.ply", "float", [-3, "nan", 0.4, 1.0]))
     assert mesh.colors is not None
     assert mesh.colors[:, 0].tolist() == [0, 0, 102, 255]
@@ -98,7 +98,7 @@ def test_new_colors_replace_the_intensity(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("how", [{"method": "jia01"}, {"ratio": 0.2}, {"max_shape": 0.01}])
-def test_simplified_mesh_has_the_intensity(tmp_path: Path, how: dict[str, Any]) -> None:
+def test_a_simplified_mesh_keeps_the_intensity(tmp_path: Path, how: dict[str, Any]) -> None:
     side = np.linspace(0, 1, 21)
     x, y = np.meshgrid(side, side)
     vertices = np.stack([x, y, 0 * x], axis=2).reshape(-1, 3)
@@ -123,7 +123,7 @@ def test_simplified_mesh_has_the_intensity(tmp_path: Path, how: dict[str, Any]) 
 
 
 def test_one_intensity_counts_as_one_channel() -> None:
-    """A step of 60 levels is a contrast of 60, and of 104 as three equal channels."""
+    """A step of 60 levels is a contrast of 60 for intensity, and of 104 for three equal channels."""
     points = np.array([[0, 0, 0], [1, 0, 0], [2, 0, 0], [0, 1, 0], [1, 1, 0], [2, 1, 0]], float)
     strip = np.array([[0, 1, 4], [0, 4, 3], [1, 2, 5], [1, 5, 4]], np.int32)
     shades = np.repeat(np.array([100, 100, 160] * 2, np.uint8)[:, None], 3, axis=1)

@@ -1,4 +1,4 @@
-"""Polygons become triangles that cover them once, turned as they are, with every corner."""
+"""Polygon triangulation: triangles cover a polygon once, keep its orientation, and use every corner."""
 
 import numpy as np
 import pytest
@@ -8,7 +8,7 @@ from scanloom.stages.diagnostics.diagnostic import Diagnostic, Severity
 from scanloom.stages.surface.formats.polygon_triangulation import triangulate_polygons
 
 
-def split(ring) -> tuple[np.ndarray, list[Diagnostic]]:
+def triangulate(ring) -> tuple[np.ndarray, list[Diagnostic]]:
     points = np.array(ring, float)
     if points.shape[1] == 2:
         points = np.pad(points, ((0, 0), (0, 1)))
@@ -18,13 +18,13 @@ def split(ring) -> tuple[np.ndarray, list[Diagnostic]]:
     return corners, diagnostics
 
 
-def signed_areas(ring, corners) -> np.ndarray:
+def compute_signed_areas(ring, corners) -> np.ndarray:
     a, b, c = np.array(ring, float)[corners].transpose(1, 0, 2)
     ab, ac = b - a, c - a
     return (ab[:, 0] * ac[:, 1] - ab[:, 1] * ac[:, 0]) / 2
 
 
-def star(count: int) -> list[tuple[float, float]]:
+def make_star(count: int) -> list[tuple[float, float]]:
     angle = 2 * np.pi * np.arange(count) / count
     radius = 1 + 0.5 * np.cos(9 * angle)
     return list(zip(radius * np.cos(angle), radius * np.sin(angle), strict=True))
@@ -34,23 +34,23 @@ def star(count: int) -> list[tuple[float, float]]:
     ("ring", "area"),
     [
         ([(0, 0), (2, 0), (2, 2), (0, 2)], 4.0),
-        # Concave at corner 3: the fan from corner 0 is right, then not.
+        # Concave at corner 3: the fan from corner 0 is valid for one order of the corners.
         ([(0, 0), (2, 0), (2, 2), (1.5, 0.5)], 1.0),
         ([(2, 0), (2, 2), (1.5, 0.5), (0, 0)], 1.0),
         ([(4, 0), (4, 4), (2, 1), (0, 4), (0, 0)], 10.0),
-        # Corners on straight sides, the first one too.
+        # Corners on straight sides, including the first one.
         ([(1, 0), (2, 0), (2, 1), (2, 2), (0, 2), (0, 1), (0, 0)], 4.0),
         ([(0, 0), (1, 0), (2, 0), (2, 2), (1, 1), (0, 2)], 3.0),
         # A comb.
         ([(0, 0), (5, 0), (5, 3), (4, 1), (3, 3), (2, 1), (1, 3), (0, 1)], 10.0),
-        (star(400), None),
+        (make_star(400), None),
     ],
 )
 @pytest.mark.parametrize("turned", [False, True])
 def test_triangles_cover_the_polygon_once(ring, area, turned):
     ring = ring[::-1] if turned else ring
-    corners, diagnostics = split(ring)
-    areas = signed_areas(ring, corners)
+    corners, diagnostics = triangulate(ring)
+    areas = compute_signed_areas(ring, corners)
     x, y = np.array(ring, float).T
     whole = 0.5 * float((x * np.roll(y, -1) - y * np.roll(x, -1)).sum())
     if area is not None:
@@ -65,13 +65,13 @@ def test_triangles_cover_the_polygon_once(ring, area, turned):
     assert diagnostics[0].severity == Severity.INFO
 
 
-def test_the_plane_of_a_polygon_may_lie_anywhere():
+def test_polygons_in_any_plane_are_triangulated():
     rng = np.random.default_rng(0)
     flat = np.pad(np.array([(4.0, 0.0), (4, 4), (2, 1), (0, 4), (0, 0)]), ((0, 0), (0, 1)))
     for _ in range(20):
         turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]
-        corners, _ = split(flat @ turn.T * 1e-4 + rng.normal(size=3) * 100)
-        assert abs(signed_areas(flat[:, :2], corners)).sum() == pytest.approx(10)
+        corners, _ = triangulate(flat @ turn.T * 1e-4 + rng.normal(size=3) * 100)
+        assert abs(compute_signed_areas(flat[:, :2], corners)).sum() == pytest.approx(10)
 
 
 @pytest.mark.parametrize(
@@ -84,18 +84,18 @@ def test_the_plane_of_a_polygon_may_lie_anywhere():
         [(0, 0), (np.nan, 0), (1, 1), (0, 1)],
     ],
 )
-def test_what_crosses_itself_or_has_no_area_is_split_as_if_convex(ring):
-    corners, diagnostics = split(ring)
+def test_self_intersecting_and_flat_polygons_are_split_as_if_convex(ring):
+    corners, diagnostics = triangulate(ring)
     assert corners.tolist() == [[0, k, k + 1] for k in range(1, len(ring) - 1)]
     assert diagnostics[1].message.startswith("1 polygons intersect themselves or have no area")
     assert diagnostics[1].severity == Severity.WARNING
 
 
-def test_indices_out_of_range_are_left_to_the_caller():
+def test_indices_out_of_range_are_kept():
     with collecting():
         corners, _ = triangulate_polygons(np.array([4]), np.array([0, 1, 7, 2]), np.eye(3), "mesh")
     assert len(corners) == 2
-    # Beside a quad that is concave at corner 3.
+    # Next to a quad that is concave at corner 3.
     points = np.array([(0, 0, 0), (2, 0, 0), (2, 2, 0), (1.5, 0.5, 0)])
     with collecting():
         corners, _ = triangulate_polygons(np.array([4, 3]), np.array([0, 1, 2, 3, 0, 1, 9]), points, "mesh")

@@ -1,4 +1,4 @@
-"""Images that are written beside a mesh: under names that every system can have."""
+"""Image files next to a mesh: names that are valid on every system."""
 
 import io
 from pathlib import Path
@@ -11,7 +11,7 @@ from scanloom.stages.surface.formats.texture_files import write_images
 from scanloom.stages.surface.texture import Image
 
 
-def png(level: int) -> bytes:
+def encode_gray_png(level: int) -> bytes:
     file = io.BytesIO()
     PIL.Image.fromarray(np.full((2, 2, 3), level, np.uint8)).save(file, "png")
     return file.getvalue()
@@ -30,14 +30,17 @@ def png(level: int) -> bytes:
         ("dots. . .", "dots.png"),
     ],
 )
-def test_names_that_every_system_can_have(tmp_path: Path, named: str, written: str) -> None:
-    image = Image(named, png(1))
+def test_file_names_are_valid_on_every_system(tmp_path: Path, named: str, written: str) -> None:
+    image = Image(named, encode_gray_png(1))
     assert write_images(tmp_path / "model.obj", [image]) == {id(image): written}
     assert [path.name for path in tmp_path.iterdir()] == [written]
 
 
-def test_two_images_of_one_name_are_both_kept(tmp_path: Path) -> None:
-    images = [Image("wall.png", png(1)), Image("wall.png", png(2))]
+def test_two_images_with_the_same_name_are_both_written(tmp_path: Path) -> None:
+    images = [Image("wall.png", encode_gray_png(1)), Image("wall.png", encode_gray_png(2))]
     names = write_images(tmp_path / "model.obj", images)
     assert len(set(names.values())) == 2
-    assert [(tmp_path / names[id(image)]).read_bytes() for image in images] == [png(1), png(2)]
+    assert [(tmp_path / names[id(image)]).read_bytes() for image in images] == [
+        encode_gray_png(1),
+        encode_gray_png(2),
+    ]
