@@ -125,7 +125,7 @@ PAGE_TABLE = {
         ("batch",),
         "Many scans",
         "Diagnostics of `scanloom batch` and `scanloom worker` about the whole "
-        "[batch](../many-scans.md). Those of one scan are on the other pages.",
+        "[batch](../many-scans.md). Diagnostics of single scans are on the other pages.",
     ),
 }
 

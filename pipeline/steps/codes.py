@@ -8,7 +8,7 @@ LEVELS_NOISE_UNKNOWN = Code(
     "levels.noise-unknown",
     "Unknown depth noise",
     """
-A warning: the noise is estimated from overlapping frames, and there are none. Set `lod.base_error`
+A warning: the noise is estimated from overlapping frames, but no frames overlap. Set `lod.base_error`
 explicitly.
 """,
     (

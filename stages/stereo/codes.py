@@ -192,7 +192,7 @@ DEPTH_POSES_MOVED = Code(
     "depth.poses-moved",
     "Poses were refined",
     """
-A warning. Poses with an error above one pixel, such as those of phones, are refined from feature matches
+A warning. Poses with an error above one pixel, for example from phones, are refined from feature matches
 between views (epipolar adjustment), with the given poses as prior. A remaining error is reported as well.
 """,
     (
