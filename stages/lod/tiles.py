@@ -7,8 +7,10 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator, Sequence
+from collections import defaultdict
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -51,7 +53,7 @@ if TYPE_CHECKING:
     from scanloom.stages.params.keywords import TilesKeywords
 
 # Increment when the tiles of the same levels change, to invalidate cache entries.
-RESULT_VERSION = 1
+RESULT_VERSION = 2
 
 Tree = dict[str, Any]
 Floats = NDArray[np.float64]
@@ -65,6 +67,8 @@ COMPRESSIONS = ("none", "meshopt")
 TILESET_DESCRIPTION = "a tileset of scanloom"
 # Maximum triangles of a tile relative to its only child; a larger tile is skipped, and the child replaces it.
 _MAX_CHILD_RATIO = 0.8
+# Maximum triangles of a tile of the base mesh, about 80 kB without compression. A larger base mesh is split.
+_MAX_BASE_TRIANGLES = 4000
 # Up axis in camera coordinates, which are the world coordinates of scans without given poses.
 _CAMERA_UP = "-y"
 # Significant digits of a bound, rounded up.
@@ -152,9 +156,9 @@ def write_tiles(
     """Write a hierarchy as 3D Tiles 1.1.
 
     The output is `outdir/tileset.json` and one GLB file per tile. A tile is the coarse mesh of a node; below
-    each leaf, one more tile is the base mesh. The children of a tile replace it together. A tile with a
-    single child and hardly more triangles is skipped. Tiles of different levels fit without cracks, because
-    all positions are on one grid.
+    each leaf, the tiles are parts of the base mesh, of at most 4,000 triangles. The children of a tile
+    replace it together. A tile with a single child and hardly more triangles is skipped. Tiles of different
+    levels fit without cracks, because all positions are on one grid.
 
     The `geometricError` of a tile is its proven two-sided shape bound plus the displacement by the grid, in
     metres, rounded up, and at least the error of each child. The `extras` of its content contain the tile's
@@ -212,6 +216,7 @@ def _write_tiles(
         (draft / _TILES_FOLDER).mkdir()
         tiles = _list_tiles(hierarchy, grid)
         sizes, triangles = np.zeros((2, len(tiles)), np.int64)
+        boxes: dict[str, tuple[Floats, Floats]] = {}
         images_by_tile: dict[int, TileImage] = {}
         for done, (number, mesh, image) in enumerate(_iterate_meshes(snapped, tiles, grid, model, images)):
             # Compression metadata makes tiny tiles larger, so keep the smaller file.
@@ -219,12 +224,13 @@ def _write_tiles(
             content = min((encode_tile_glb(mesh, grid, compress=pack) for pack in pack_options), key=len)
             (draft / tiles[number].uri).write_bytes(content)
             sizes[number], triangles[number] = len(content), len(mesh.triangles)
+            boxes[tiles[number].uri] = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
             if image is not None:
                 images_by_tile[number] = image
             progress(done + 1, len(tiles))
         tile_images = tuple(images_by_tile[number] for number in sorted(images_by_tile))
         up = _resolve_up(params, hierarchy, model)
-        tree = _build_tileset(snapped, tiles, tile_images, grid, up)
+        tree = _build_tileset(snapped, tiles, boxes, tile_images, grid, up)
         (draft / TILESET).write_text(json.dumps(tree, separators=(",", ":")), encoding="utf-8", newline="\n")
     if model is not None and is_transparent(model):
         emit(LEVELS_LEFT_OUT.warning("tiles drop the transparency of the model's images."))
@@ -266,10 +272,12 @@ def _require_complete(h: Hierarchy) -> None:
 
 @dataclass(frozen=True)
 class _Tile:
-    """Tile of a tileset: coarse mesh of a node, or base mesh."""
+    """Tile of a tileset: coarse mesh of a node, or part of the base mesh below a leaf."""
 
     node: int
     is_base: bool
+    part: int
+    part_count: int
     uri: str
     shape_bound: float
     color_bound: float
@@ -278,17 +286,22 @@ class _Tile:
 def _list_tiles(h: Hierarchy, grid: PositionGrid) -> list[_Tile]:
     """List all tiles: nodes by index, then the base tiles below leaves."""
 
-    def make_tile(node: int, is_base: bool, shape: float, color: float) -> _Tile:
+    def make_tile(node: int, is_base: bool, part: int, count: int, shape: float, color: float) -> _Tile:
         bound = round_up(math.nextafter(shape + grid.max_displacement_m, math.inf), _BOUND_DIGITS)
-        uri = f"{_TILES_FOLDER}/{node}{'-base' if is_base else ''}.glb"
-        return _Tile(node, is_base, uri, bound, color)
+        name = f"{node}-base" if is_base else str(node)
+        uri = f"{_TILES_FOLDER}/{name}{f'-{part}' if count > 1 else ''}.glb"
+        return _Tile(node, is_base, part, count, uri, bound, color)
 
     found, base = [], []
     for node, children in enumerate(h.children):
-        if len(children) > 1 or h.coarse[node] <= _MAX_CHILD_RATIO * h.full[node]:
-            found.append(make_tile(node, False, float(h.shape_bound[node]), float(h.color_bound[node])))
-        if not len(children):
-            base.append(make_tile(node, True, h.base_shape_bound, h.base_color_bound))
+        part_count = 0 if len(children) else -(-int(h.full[node]) // _MAX_BASE_TRIANGLES)
+        is_light = h.coarse[node] <= _MAX_CHILD_RATIO * h.full[node]
+        if len(children) > 1 or part_count > 1 or is_light:
+            found.append(make_tile(node, False, 0, 1, float(h.shape_bound[node]), float(h.color_bound[node])))
+        base += [
+            make_tile(node, True, part, part_count, h.base_shape_bound, h.base_color_bound)
+            for part in range(part_count)
+        ]
     return found + base
 
 
@@ -301,8 +314,14 @@ def _iterate_meshes(
 ) -> Iterator[tuple[int, Mesh, TileImage | None]]:
     """Yield index, mesh and image metrics of each tile; None without an image."""
 
+    @lru_cache(maxsize=1)
+    def assemble_base(node: int, part_count: int) -> list[Mesh]:
+        return _split_mesh(snapped.mesh([node], [int(snapped.splits[node])]), part_count)
+
     def assemble_mesh(tile: _Tile) -> Mesh:
-        return snapped.mesh([tile.node], [int(snapped.splits[tile.node]) if tile.is_base else 0])
+        if tile.is_base:
+            return assemble_base(tile.node, tile.part_count)[tile.part]
+        return snapped.mesh([tile.node], [0])
 
     if source_mesh is None:
         for number, tile in enumerate(tiles):
@@ -318,29 +337,49 @@ def _iterate_meshes(
     yield from paint_tile_images(tile_meshes, color_source, params or TileImageParams())
 
 
+def _split_mesh(mesh: Mesh, part_count: int) -> list[Mesh]:
+    """Split a mesh into compact parts of about equal triangle counts, by halving the longest extent."""
+    if part_count <= 1:
+        return [mesh]
+    centers = mesh.vertices[mesh.triangles].mean(axis=1)
+    axis = int(np.argmax(np.ptp(centers, axis=0)))
+    order = np.argsort(centers[:, axis], kind="stable")
+    end = len(order) * (part_count // 2) // part_count
+    halves = ((order[:end], part_count // 2), (order[end:], part_count - part_count // 2))
+    return [part for rows, count in halves for part in _split_mesh(_take_triangles(mesh, rows), count)]
+
+
+def _take_triangles(mesh: Mesh, rows: NDArray[np.int64]) -> Mesh:
+    used, triangles = np.unique(mesh.triangles[np.sort(rows)], return_inverse=True)
+    colors = None if mesh.colors is None else mesh.colors[used]
+    return Mesh(mesh.vertices[used], triangles.reshape(-1, 3).astype(np.int32), colors=colors, up=mesh.up)
+
+
 def _list_leaves(h: Hierarchy) -> NDArray[np.int64]:
     return np.flatnonzero([not len(children) for children in h.children])
 
 
 def _list_finer_tiles(h: Hierarchy, tiles: list[_Tile]) -> list[tuple[int, ...]]:
     """List the source tiles of each tile: the next finer level, covering the whole surface."""
-    number_of = {(tile.node, tile.is_base): number for number, tile in enumerate(tiles)}
+    numbers_of: defaultdict[tuple[int, bool], list[int]] = defaultdict(list)
+    for number, tile in enumerate(tiles):
+        numbers_of[tile.node, tile.is_base].append(number)
 
-    def find_representative(node: int) -> int:
-        while (node, False) not in number_of and len(h.children[node]):
+    def find_representatives(node: int) -> list[int]:
+        while (node, False) not in numbers_of and len(h.children[node]):
             (node,) = h.children[node].tolist()
-        return number_of.get((node, False), number_of.get((node, True), -1))
+        return numbers_of.get((node, False)) or numbers_of[node, True]
 
     def list_front(level: int) -> tuple[int, ...]:
         todo, found = [0], []
         while todo:
             node = todo.pop()
             if h.level[node] < level:
-                found.append(find_representative(node))
+                found += find_representatives(node)
             elif len(h.children[node]):
                 todo += h.children[node].tolist()
             else:
-                found.append(number_of[node, True])
+                found += numbers_of[node, True]
         return tuple(sorted(found))
 
     fronts = {level: list_front(level) for level in set(h.level.tolist())}
@@ -348,23 +387,40 @@ def _list_finer_tiles(h: Hierarchy, tiles: list[_Tile]) -> list[tuple[int, ...]]
 
 
 def _build_tileset(
-    snapped: Hierarchy, tiles: list[_Tile], images: Sequence[TileImage], grid: PositionGrid, up: Floats | None
+    snapped: Hierarchy,
+    tiles: list[_Tile],
+    boxes: Mapping[str, tuple[Floats, Floats]],
+    images: Sequence[TileImage],
+    grid: PositionGrid,
+    up: Floats | None,
 ) -> Tree:
-    """Build the content of tileset.json."""
+    """Build the content of tileset.json.
+
+    Parameters
+    ----------
+    boxes : minimum and maximum corners of the mesh of each tile, by URI.
+    """
     low, high = snapped.boxes
     entries: dict[int, Tree] = {}
-    tiles_by_node = {(tile.node, tile.is_base): tile for tile in tiles}
+    tiles_by_node: defaultdict[int, list[_Tile]] = defaultdict(list)
+    for tile in tiles:
+        tiles_by_node[tile.node].append(tile)
     images_by_uri = {tile.uri: image for tile, image in zip(tiles, images, strict=False)}
     # From the last node to the root: children are described before their parent.
     for node in range(snapped.nodes - 1, -1, -1):
-        box = {"box": _make_box(low[node], high[node], grid)}
         children = [entries[int(child)] for child in snapped.children[node]]
-        for tile in (tiles_by_node.get((node, True)), tiles_by_node.get((node, False))):
-            if tile is not None:
+        for is_base in (True, False):
+            here = [tile for tile in tiles_by_node[node] if tile.is_base is is_base]
+            if not here:
+                continue
+            below, children = children, []
+            for tile in here:
+                lowest, highest = boxes[tile.uri] if is_base else (low[node], high[node])
+                box = {"box": _make_box(lowest, highest, grid)}
                 colors = {} if snapped.colors is None else {"color_bound_levels": tile.color_bound}
                 if tile.uri in images_by_uri:
                     colors = images_by_uri[tile.uri].to_dict()
-                children = [_describe_tile(tile, box, children, colors, snapped.is_one_sided)]
+                children.append(_describe_tile(tile, box, below, colors, snapped.is_one_sided))
         (entries[node],) = children
     root = entries[0]
     transform = np.eye(4)

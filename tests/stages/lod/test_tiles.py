@@ -122,6 +122,27 @@ def test_tiles_of_real_meshes_fit_together(shared_data: Path, tmp_path: Path) ->
         assert_same_topology(weld_tiles(choose_random_cut(root, rng)), light)
 
 
+def test_a_large_base_mesh_is_split_into_parts_that_fit(
+    hierarchies: dict[str, Hierarchy], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("scanloom.stages.lod.tiles._MAX_BASE_TRIANGLES", 50)
+    hierarchy = hierarchies["closed"]
+    written = lod.write_tiles(hierarchy, tmp_path / "out")
+    root, rng, original = read_tiles(tmp_path / "out"), np.random.default_rng(5), get_finest_mesh(hierarchy)
+    parts = [tile for tile in root.all() if not tile.children]
+    assert len(parts) > len([node for node in hierarchy.children if not len(node)])
+    assert max(len(tile.triangles) for tile in parts) <= 50
+    assert len(written.sizes) == len(list(root.all()))
+    assert_same_topology(weld_tiles(parts), original)
+    for _ in range(50):
+        assert_same_topology(weld_tiles(choose_random_cut(root, rng)), original)
+    boxes = [np.reshape(tile.tree["boundingVolume"]["box"], (4, 3)) for tile in parts]
+    for tile, (center, *axes) in zip(parts, boxes, strict=True):
+        assert (np.abs(tile.vertices - center) <= np.sum(axes, axis=0)).all()
+    # The parts of a leaf have tight boxes of their own.
+    assert len({tuple(box[0]) for box in boxes}) == len(boxes)
+
+
 def test_a_tile_moved_by_one_grid_step_is_detected_as_a_crack(folders: dict[str, Path]) -> None:
     root = read_tiles(folders["closed"])
     cut = [tile for tile in root.all() if not tile.children]
@@ -264,7 +285,7 @@ TILE = {
         "content": {
             "type": "object",
             "properties": {
-                "uri": {"type": "string", "pattern": "^tiles/[0-9]+(-base)?[.]glb$"},
+                "uri": {"type": "string", "pattern": "^tiles/[0-9]+(-base(-[0-9]+)?)?[.]glb$"},
                 "extras": EXTRAS,
             },
             "required": ["uri", "extras"],
