@@ -145,7 +145,7 @@ def rewrite_image(path: Path, change: Callable[[NDArray[Any]], NDArray[Any]]) ->
 
 def brighten_corner(image: NDArray[Any]) -> NDArray[Any]:
     """Change pixels of any image: colour, depth or mask."""
-    changed = image.copy()
+    changed: NDArray[Any] = image.copy()
     changed[20:40, 20:40] = np.where(changed[20:40, 20:40] == 255, 0, changed[20:40, 20:40] + 9)
     return changed
 
@@ -218,10 +218,11 @@ def list_differences(one: Any, other: Any, at: str = "") -> list[str]:
     if isinstance(one, dict) and isinstance(other, dict):
         pairs = [(f"{at}.{key}", one.get(key), other.get(key)) for key in {**one, **other}]
     elif isinstance(one, list) and isinstance(other, list) and len(one) == len(other):
-        pairs = [(f"{at}[{i}]", *pair) for i, pair in enumerate(zip(one, other, strict=True))]
+        both = zip(one, other, strict=True)
+        pairs = [(f"{at}[{i}]", first, second) for i, (first, second) in enumerate(both)]
     else:
         return [] if one == other else [f"{at}: {one!r:.150} instead of {other!r:.150}"]
-    return [line for where, *pair in pairs for line in list_differences(*pair, where)][:5]
+    return [line for where, first, second in pairs for line in list_differences(first, second, where)][:5]
 
 
 def run_once(scan: Path, out: Path, config: Config) -> tuple[Mapping[str, Any], list[str]]:
