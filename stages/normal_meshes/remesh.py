@@ -295,8 +295,8 @@ def _remesh_validated(
 def _require_resolution(mesh: Mesh, params: RemeshParams) -> None:
     """Refuse a mesh whose edges are below the precision of numbers.
 
-    The limit is float32 precision relative to its extent, which a single stray vertex enlarges, and a multiple
-    of float64 precision relative to its coordinates.
+    The limit is float32 precision relative to its extent, which a single stray vertex enlarges, and a
+    multiple of float64 precision relative to its coordinates.
     """
     corners = mesh.vertices[mesh.triangles]
     finest = min(params.tolerance or _FLOAT32_PRECISION, _FLOAT32_PRECISION) * _compute_diagonal(mesh)
