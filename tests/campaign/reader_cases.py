@@ -1,4 +1,4 @@
-"""Cases for readers: a specimen, one or two of whose files are damaged."""
+"""Cases for readers: a specimen with one or two damages, to one of its files or to the folder as a whole."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from tests.campaign.damage import damaged
+from tests.campaign.folder_damage import damaged_folder
 from tests.campaign.specimens import SPECIMENS
 
 # Most pictures of a scan are like others, and hardly a reader of ours looks into them.
@@ -24,9 +25,14 @@ def reader_case(seed: int, specimens: Path) -> tuple[dict[str, Any], dict[str, b
         if path.is_file()
     }
     for _ in range(draw.choice((1, 1, 1, 2))):
+        if files and draw.random() < 0.2:
+            files = damaged_folder(files, draw)
+            continue
         names = [n for n in files if not n.endswith(_SELDOM)]
         if len(names) < len(files) and draw.random() < 0.15:
             names = [n for n in files if n.endswith(_SELDOM)]
+        if not names:
+            break
         hit = draw.choice(names)
         files[hit] = damaged(files[hit], draw)
     specimen = SPECIMENS[name]
