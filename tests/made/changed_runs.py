@@ -54,14 +54,17 @@ ALL_STAGES = (
 )
 # Parameters with the name of a file; another file is another input.
 FILES = ("poses", "calibration", "masks", "adjusted_cameras", "depth_calibration", "images", "model")
+BY_SHAPE = ("simplify.ratio=none", "simplify.max_shape=0.02")
 # Settings that a parameter needs to have an effect.
 WITH: Mapping[str, tuple[str, ...]] = {
-    "simplify.certified.": ("simplify.method=certified",),
+    "simplify.certified.": ("simplify.method=certified", *BY_SHAPE),
     "simplify.seams.": ("simplify.method=seams",),
     "simplify.jia01.": ("simplify.method=jia01",),
-    "simplify.planar.": ("simplify.method=planar",),
+    "simplify.planar.": ("simplify.method=planar", *BY_SHAPE),
     "depth.sgbm.": ("depth.matcher=sgbm",),
     "clean.repair_angle": ("clean.repair=true",),
+    "clean.max_shape": ("clean.repair=true",),
+    "simplify.triangles": ("simplify.ratio=none",),
     "fuse.plane_margin": ("fuse.remove_plane=true",),
     "fuse.upsample_factor": ("fuse.upsample=guided",),
     "fuse.center": ("fuse.radius=0.5",),
@@ -73,7 +76,10 @@ TEXTS = {
     "depth_scale": "2000",
     "center": "0,0,1",
     "box": "-1,-1,0,1,1,1.1",
-    "max_size": "1GB",
+    "cache.max_size": "1GB",
+    "clean.weld_distance": "0.001",
+    "remesh.tolerance": "0.001",
+    "simplify.triangles": "50",
 }
 
 
@@ -177,8 +183,9 @@ def list_other_values(key: str) -> list[str]:
     section, _, name = key.partition(".")
     cls = Config.get_types()[section]
     about, default, hint = describe_all(cls)[name], get_default(cls, name), get_hint(cls, name)
-    if name in TEXTS:
-        return [TEXTS[name]]
+    text = TEXTS.get(key, TEXTS.get(name))
+    if text is not None:
+        return [text]
     if about.choices:
         return [choice for choice in about.choices if choice != default]
     kinds = (hint, *get_args(hint))
