@@ -13,8 +13,8 @@ from scipy.ndimage import gaussian_filter1d
 
 from scanloom import Frame, adjust, inspect, read_scan
 from scanloom.stages.adjusting.silhouette_offset import (
-    _blur_profiles,
     PhotoOffset,
+    _blur_profiles,
     estimate_photo_offset,
     observe_silhouettes,
 )
