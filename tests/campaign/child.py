@@ -1,6 +1,7 @@
 """The process that runs cases, one a line of its input, with limits on its memory and on a case's time.
 
-It answers on the standard output it was started with; what libraries print goes to the standard error.
+It answers on the standard output it was started with, at first that it is ready. What libraries print goes to
+the standard error.
 """
 
 from __future__ import annotations
@@ -42,6 +43,8 @@ def main() -> None:
     os.dup2(2, 1)
     if Path("/proc/self/statm").exists():
         _limit_memory()
+    answers.write("ready\n")
+    answers.flush()
     for line in sys.stdin:
         case = json.loads(line)
         # Without a handler, the signal ends the process: nothing has to notice it.

@@ -62,6 +62,9 @@ class Judge:
                 stderr=self._errors,
                 text=True,
             )
+            # Its imports are no part of a case, and take minutes on a machine with much to do.
+            assert self._child.stdout is not None
+            self._child.stdout.readline()
         return self._child
 
     def _reason(self, child: subprocess.Popen[str], ended: bool, seconds: float) -> str:
