@@ -30,6 +30,7 @@ IN_EVERY_RUN = (
     "cli",
     "golden",
     "pipeline/test_keys.py",
+    "pipeline/test_one_change.py",
     "stages/simplification/test_textured.py",
     "stages/texturing/test_bake_materials.py",
 )

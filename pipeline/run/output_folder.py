@@ -163,10 +163,12 @@ class OutputFolder:
             for stage, about in self._stages.items()
             if stage not in (REPORT, PAGE)
         }
-        placed = {
+        existing = {
             stage: {name: content for name, content in files.items() if (self._out / name).exists()}
             for stage, files in {**(self._reported or {}), **recorded}.items()
         }
+        # Stages without files are left out: earlier runs of other stages must not show.
+        placed = {stage: files for stage, files in existing.items() if files}
         # Round-trip through JSON, so that the digest matches the numbers a reader parses.
         document: dict[str, Any] = json.loads(_to_json({**report, "placed": placed}))
         document["digest"] = compute_digest(document)

@@ -220,10 +220,11 @@ def _to_json_value(value: Any) -> float | int | str:
 
     Scalar arrays become numbers, other values text.
     """
+    # First, because the float64 of NumPy is a float, but not one that the cache stores.
+    if hasattr(value, "item") and getattr(value, "size", 0) == 1:
+        return _to_json_value(value.item())
     if isinstance(value, float) and not math.isfinite(value):
         return str(value)
     if isinstance(value, (int, float, str)):
         return value
-    if hasattr(value, "item") and getattr(value, "size", 0) == 1:
-        return _to_json_value(value.item())
     return str(value)

@@ -51,7 +51,8 @@ LEVELS_TOO_FINE = Code(
     "Edges too short for the size of the mesh",
     """
 The file stores 32-bit floats. A stray vertex far away enlarges the bounding box so much that all edges are
-below their precision. Remove that vertex.
+below their precision. Remove that vertex. Coordinates are 64-bit floats: a mesh of millimetres that is a
+million kilometres away from the origin has too few digits left.
 """,
     (
         "mesh: most edges are shorter than 5e-05 m, the precision of the format for a mesh of this size; "

@@ -60,6 +60,9 @@ _DEFAULT_LEVELS = 4
 
 # Precision of 32-bit floats, as a ratio of the bounding-box diagonal.
 _FLOAT32_PRECISION = 5e-8
+# Minimum length of most edges in steps of the largest coordinate. With 1,000 steps, rounding folds the mesh,
+# and remeshing a hundred triangles takes minutes.
+_MIN_STEPS_PER_EDGE = 4096
 
 # Texts for the kernel's identifiers of the tolerance's origin.
 _TOLERANCE_SOURCES = {
@@ -290,9 +293,10 @@ def _remesh_validated(
 
 
 def _require_resolution(mesh: Mesh, params: RemeshParams) -> None:
-    """Refuse a mesh whose edges are below float32 precision relative to its extent.
+    """Refuse a mesh whose edges are below the precision of numbers.
 
-    A single stray vertex far away from the surface has that effect.
+    The limit is float32 precision relative to its extent, which a single stray vertex enlarges, and a
+    multiple of float64 precision relative to its coordinates.
     """
     corners = mesh.vertices[mesh.triangles]
     finest = min(params.tolerance or _FLOAT32_PRECISION, _FLOAT32_PRECISION) * _compute_diagonal(mesh)
@@ -312,6 +316,17 @@ def _require_resolution(mesh: Mesh, params: RemeshParams) -> None:
             finest=finest,
             farthest=farthest,
             away=away[farthest],
+        )
+    largest = float(np.abs(corners).max())
+    coarsest = _MIN_STEPS_PER_EDGE * float(np.spacing(largest))
+    if np.median(lengths) < coarsest:
+        raise MeshError(
+            LEVELS_TOO_FINE,
+            "most edges are shorter than {coarsest:.2g} m, the precision of coordinates of {largest:.2g} m",
+            "mesh",
+            remedy="move the mesh to the origin.",
+            coarsest=coarsest,
+            largest=largest,
         )
 
 

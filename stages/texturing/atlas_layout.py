@@ -347,6 +347,12 @@ def _lay_out_groups(
             "all triangles are needles without a measurable area; they cannot be laid out in an image.",
             "mesh",
         )
+    if not compute_signed_areas(corners).any():
+        raise MeshError(
+            TEXTURE_ATLAS_TOO_SMALL,
+            "is so small compared with the texel size that its charts have no area in an image.",
+            "mesh",
+        )
     images = pages.copy()
     _place_flat(mesh, corners, images)
     return AtlasLayout(corners, pages, charts, images, tuple(sizes), padding, density)

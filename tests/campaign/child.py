@@ -1,6 +1,7 @@
 """Child process that runs cases, one per input line, with limits on memory and processor time.
 
-Answers go to the original standard output; output of libraries goes to standard error.
+The first answer is that the process is ready. Answers go to the original standard output; output of libraries
+goes to standard error.
 """
 
 from __future__ import annotations
@@ -42,6 +43,8 @@ def main() -> None:
     os.dup2(2, 1)
     if Path("/proc/self/statm").exists():
         _limit_memory()
+    answers.write("ready\n")
+    answers.flush()
     for line in sys.stdin:
         case = json.loads(line)
         # Without a handler, the signal ends the process, even inside a library.

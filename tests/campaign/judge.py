@@ -61,6 +61,9 @@ class Judge:
                 stderr=self._errors,
                 text=True,
             )
+            # Its imports are no part of a case, and take minutes on a machine with much to do.
+            assert self._child.stdout is not None
+            self._child.stdout.readline()
         return self._child
 
     def _explain_end(self, child: subprocess.Popen[str], ended: bool, seconds: float) -> str:

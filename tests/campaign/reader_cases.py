@@ -1,4 +1,4 @@
-"""Cases for readers: a specimen with damage to one or two of its files."""
+"""Cases for readers: a specimen with one or two damages, to a file or to the folder as a whole."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from tests.campaign.damage import damage_file
+from tests.campaign.folder_damage import damage_folder
 from tests.campaign.specimens import SPECIMENS
 
 # Images are damaged rarely, because most images of a scan are alike, and few readers decode them.
@@ -24,9 +25,14 @@ def make_reader_case(seed: int, specimens: Path) -> tuple[dict[str, Any], dict[s
         if path.is_file()
     }
     for _ in range(draw.choice((1, 1, 1, 2))):
+        if files and draw.random() < 0.2:
+            files = damage_folder(files, draw)
+            continue
         names = [n for n in files if not n.endswith(_SELDOM)]
         if len(names) < len(files) and draw.random() < 0.15:
             names = [n for n in files if n.endswith(_SELDOM)]
+        if not names:
+            break
         hit = draw.choice(names)
         files[hit] = damage_file(files[hit], draw)
     specimen = SPECIMENS[name]

@@ -6,10 +6,13 @@ The background is black.
 from __future__ import annotations
 
 from functools import cache
+from pathlib import Path
 
+import cv2
 import numpy as np
 from scipy.ndimage import gaussian_filter, map_coordinates
 
+from scanloom.stages.scans.model.poses import invert_pose
 from scanloom.stages.scans.model.scan import Camera, Frame, Scan
 
 CAMERA = Camera(240, 180, 300.0, 305.0, 121.0, 87.0)
@@ -70,3 +73,24 @@ def make_posed_scan() -> tuple[Scan, tuple[np.ndarray, ...]]:
         frames.append(Frame(f"{number:04d}", CAMERA, color=image, world_from_camera=where))
         depths.append(depth)
     return Scan("made", tuple(frames)), tuple(depths)
+
+
+def write_posed_views(folder: Path, count: int = len(ROLLS)) -> Path:
+    """Write the first views in Middlebury's multi-view layout, without depth."""
+    scan, _ = make_posed_scan()
+    folder.mkdir()
+    lines = [str(count)]
+    for frame in scan.frames[:count]:
+        name = f"made{frame.name}.png"
+        assert isinstance(frame.color, np.ndarray)
+        assert cv2.imwrite(str(folder / name), frame.color)
+        assert frame.world_from_camera is not None
+        camera_from_world = invert_pose(frame.world_from_camera)
+        numbers = [
+            *frame.camera.matrix.ravel(),
+            *camera_from_world[:3, :3].ravel(),
+            *camera_from_world[:3, 3],
+        ]
+        lines.append(" ".join([name, *(repr(float(number)) for number in numbers)]))
+    (folder / "made_par.txt").write_text("\n".join(lines) + "\n")
+    return folder

@@ -32,23 +32,7 @@ def _no_shared_cache(monkeypatch):
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    """Write the made scene in Middlebury's multi-view layout."""
-    scan, _ = posed_scene.make_posed_scan()
-    made = tmp_path / "scan"
-    made.mkdir()
-    lines = [str(len(scan.frames))]
-    for frame in scan.frames:
-        name = f"made{frame.name}.png"
-        cv2.imwrite(str(made / name), frame.color)
-        camera_from_world = invert_pose(frame.world_from_camera)
-        numbers = [
-            *frame.camera.matrix.ravel(),
-            *camera_from_world[:3, :3].ravel(),
-            *camera_from_world[:3, 3],
-        ]
-        lines.append(" ".join([name, *(repr(float(number)) for number in numbers)]))
-    (made / "made_par.txt").write_text("\n".join(lines) + "\n")
-    return made
+    return posed_scene.write_posed_views(tmp_path / "scan")
 
 
 @pytest.mark.slow

@@ -288,7 +288,34 @@ impl<'a, const D: usize> ProofCache<'a, D> {
         }
         self.mesh_triangles = result;
         self.failing.sort_unstable_by_key(|failing| failing.triangle);
+        self.accept_unchanged_triangles();
         Ok([self.unproven_mesh_triangles().count(), self.unproven_input_triangles().count()])
+    }
+
+    /// Accept unproven triangles that the mesh and the input have in common: their distance is 0.
+    ///
+    /// Among many needles, the effort of a proof may not even suffice between the input and itself. Colours
+    /// need the proof: another sheet in the same place may have other colours.
+    fn accept_unchanged_triangles(&mut self) {
+        let has_color = !self.surface().colors.is_empty();
+        if has_color && (self.bounds.color < f64::INFINITY || self.tolerances.is_some()) {
+            return;
+        }
+        let slack = certify::slack(self.surface().bounds.into_iter(), self.decision.slack);
+        let (original, bounds, mesh_triangles) = (self.original, self.bounds, &mut self.mesh_triangles);
+        let is_unchanged = |known: &CertifiedTriangle<D>| {
+            known.corners == original.triangles[known.source as usize].map(|v| original.points[v as usize])
+        };
+        self.failing.retain(|failing| {
+            let found = mesh_triangles.binary_search_by_key(&failing.triangle, |known| known.source);
+            !found.is_ok_and(|i| is_unchanged(&mesh_triangles[i]))
+        });
+        for known in mesh_triangles.iter_mut() {
+            if !known.verdict.bound.is_within(bounds) && is_unchanged(known) {
+                let color = if has_color { f64::INFINITY } else { 0.0 };
+                known.verdict.bound = Deviation { shape: slack, color };
+            }
+        }
     }
 
     fn partition_of(&self, source: u32) -> usize {

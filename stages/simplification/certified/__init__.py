@@ -11,7 +11,7 @@ file. For this and for single-precision searches they include a slack: 2⁻²¹ 
 of the bounding box's diagonal. The smallest provable distance is twice the slack; a smaller `max_shape` is
 raised to it, which is reported as an unmet requirement. A smaller `max_color` than half a level is raised to
 that. Where sheets of different colours touch, a point has nearest points of both colours and no colour bound
-may be provable. Triangles there stay unchanged.
+may be provable. Triangles there stay unchanged. Without a bound on colour, unchanged triangles need no proof.
 
 For meshes with texture coordinates, materials, parts or corner normals, edges collapse as in method `seams`.
 Only the distance is proven then. `max_color` is checked at samples as dense as the texels, and reported as

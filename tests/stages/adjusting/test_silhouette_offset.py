@@ -9,10 +9,12 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter1d
 
 from scanloom import Frame, adjust, inspect, read_scan
 from scanloom.stages.adjusting.silhouette_offset import (
     PhotoOffset,
+    _blur_profiles,
     estimate_photo_offset,
     observe_silhouettes,
 )
@@ -176,3 +178,9 @@ def test_the_offset_of_a_real_colour_camera_is_found(shared_data):
     assert found.offset_before.shift_px == pytest.approx((4.5, 1.6), abs=0.7)
     assert np.hypot(*found.offset_after.shift_px) < 0.5
     assert found.error_after.median < 0.95
+
+
+@pytest.mark.parametrize("sigma", [0.8, 1.5])
+def test_profiles_are_blurred_as_by_scipy(sigma: float) -> None:
+    profiles = np.random.default_rng(2).uniform(0, 50, (2, 3, 31))
+    np.testing.assert_array_equal(_blur_profiles(profiles, sigma), gaussian_filter1d(profiles, sigma, axis=2))

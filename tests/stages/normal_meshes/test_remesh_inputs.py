@@ -190,6 +190,13 @@ def test_a_mesh_in_map_coordinates_is_remeshed() -> None:
     assert_valid_normal_mesh(found, far)
 
 
+def test_a_mesh_is_refused_where_coordinates_have_too_few_digits_for_its_edges() -> None:
+    mesh = coloured_meshes.sheet(4)
+    tiny = mesh.with_(vertices=1e-3 * mesh.vertices + 1e9)
+    with pytest.raises(MeshError, match=r"shorter than .* m, the precision of coordinates of 1e\+09 m; move"):
+        remesh(tiny, **SMALL_PARAMETERS)
+
+
 def test_a_cube_is_reproduced_to_float_precision() -> None:
     shape = trimesh.creation.box()
     for _ in range(3):

@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from scanloom.stages import _kernels
+from scanloom.stages.diagnostics.errors import MeshError
 from scanloom.stages.progress import ignore_progress
 from scanloom.stages.surface.mesh import Mesh
 from scanloom.stages.surface.rasterization import rasterize_triangles
@@ -224,3 +225,10 @@ def test_wrong_arrays_are_refused():
             padding=2,
             progress=ignore_progress,
         )
+
+
+def test_a_mesh_whose_charts_have_no_area_in_the_image_is_refused() -> None:
+    vertices = 1e-30 * np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]])
+    tiny = Mesh(vertices, np.array([[0, 1, 2]], np.int32))
+    with pytest.raises(MeshError, match="charts have no area"):
+        lay_out_smallest(tiny, 1.0, max_side=64, max_texels=1e6, padding=None, progress=ignore_progress)

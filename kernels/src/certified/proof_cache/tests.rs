@@ -123,3 +123,21 @@ fn reach_bounds_the_distance_to_the_mesh() {
         }
     }
 }
+
+#[test]
+fn the_input_is_proven_to_equal_itself_even_if_its_triangles_are_needles() {
+    let rim = 60;
+    let on_rim = |i: u32| {
+        let angle = 0.1 * f64::from(i);
+        [angle.cos(), angle.sin(), 1e-3 * (7.3 * f64::from(i)).sin(), 0.0, 0.0, 0.0]
+    };
+    let points = std::iter::once([0.0; 6]).chain((0..=rim).map(on_rim)).collect();
+    let original = InputSurface::new(points, (1..=rim).map(|i| [0, i, i + 1]).collect());
+    let control = RunControl::default();
+    let mut progress = Progress::new(&control);
+    for (color, unproven) in [(f64::INFINITY, 0), (0.0, 1)] {
+        let mut ledger = ledger(&original, Deviation { shape: 1e-5, color });
+        let [of_mesh, of_input] = ledger.update(&input(&original), &mut progress).unwrap();
+        assert!(of_mesh.min(of_input) >= unproven && (unproven > 0 || of_mesh.max(of_input) == 0));
+    }
+}

@@ -218,6 +218,18 @@ def test_importance_divides_the_bounds_and_locked_vertices_are_kept() -> None:
     np.testing.assert_array_equal(result.mesh.colors[at], mesh.colors[locked])
 
 
+def test_a_fan_of_needles_that_cannot_be_simplified_is_proven_to_equal_itself() -> None:
+    angles = 0.002 * np.arange(12)
+    heights = 1e-3 * np.random.default_rng(5).standard_normal(12)
+    rim = np.stack([np.cos(angles), np.sin(angles), heights], axis=1)
+    after = np.arange(1, len(rim))
+    fan = np.stack([0 * after, after, after + 1], axis=1).astype(np.int32)
+    light = simplify(Mesh(np.vstack([np.zeros(3), rim]), fan), method="certified", max_shape=1e-4)
+    assert light.details.proven
+    assert light.stopped_by == "bounds"
+    assert light.details.shape_bound_m <= 1e-4
+
+
 def test_unproven_bounds_are_reported() -> None:
     mesh = make_coincident_sheets()
     result = simplify(mesh, max_shape=0.01, max_color=20)
