@@ -6,7 +6,9 @@
 //! | [`short_edges`] | removal of the thin triangles of marching cubes |
 //! | [`normal_filter`] | bilateral filter of triangle normals, and vertices that fit them |
 //! | [`boundary`] | smooth boundaries |
+//! | [`outlines`] | boundaries at the outlines in the depth maps |
 //! | [`observations`] | distances of the depth measurements from each vertex |
+//! | [`votes`] | votes of depth maps for and against surface |
 //! | [`residual`] | smooth correction towards the measurements |
 //! | [`plane_growth`] | planar patches within the standard deviation of the vertices |
 //! | [`creases`] | vertices moved onto planes, and straight creases between them |
@@ -17,7 +19,9 @@ pub mod creases;
 pub mod folds;
 pub mod normal_filter;
 pub mod observations;
+pub mod outlines;
 pub mod plane_growth;
 pub mod refiner;
 pub mod residual;
 pub mod short_edges;
+pub mod votes;
