@@ -528,26 +528,15 @@ class SurfaceRefiner:
 
 @final
 class BoundaryAligner:
-    """Mesh whose boundaries move to the outlines in depth maps. Show all frames, then `finish`.
-
-    Vertices with `is_planar` (n,) stay on their planes.
-    """
+    """Mesh whose boundaries move to the outlines in depth maps. Show all frames, then `finish`."""
 
     def __new__(
-        cls,
-        vertices: NDArray[np.float64],
-        triangles: NDArray[np.int32],
-        is_planar: NDArray[np.bool_],
-        *,
-        wanted_threads: int,
+        cls, vertices: NDArray[np.float64], triangles: NDArray[np.int32], *, wanted_threads: int
     ) -> BoundaryAligner: ...
     def observe(self, camera: _Camera, depth: NDArray[np.float32], noise: tuple[float, float]) -> None:
         """Compare the boundaries with a filtered depth map. `noise` is as in `SurfaceRefiner.observe`."""
     def finish(self) -> NDArray[np.float64]:
-        """Return the vertices (n, 3).
-
-        They moved at most one mean edge length within the surface, and half of that along their normals.
-        """
+        """Return the vertices (n, 3), moved at most one mean edge length within the surface."""
 
 def smooth_boundaries(
     vertices: NDArray[np.float64],

@@ -251,8 +251,7 @@ def _refine(
     del vertices, triangles, colors
     release_free_memory()
     smooth = _smooth_boundaries(kept.mesh, _MAX_BOUNDARY_MOVES[0])
-    plane_ids, deviations = plane_ids[kept.vertex_source], deviations[kept.vertex_source]
-    aligner = _kernels.BoundaryAligner(smooth.vertices, smooth.triangles, plane_ids >= 0, wanted_threads=0)
+    aligner = _kernels.BoundaryAligner(smooth.vertices, smooth.triangles, wanted_threads=0)
     show(aligner, 1 + _CORRECTION_COUNT)
     aligned = _smooth_boundaries(smooth.with_(vertices=aligner.finish()), _MAX_BOUNDARY_MOVES[1])
     report_depth, report_photo = (
@@ -260,8 +259,8 @@ def _refine(
     )
     closed = close_holes(
         aligned,
-        plane_ids,
-        deviations,
+        plane_ids[kept.vertex_source],
+        deviations[kept.vertex_source],
         noise,
         lambda test: depth_frames.show_all(test.observe, report_depth),
         params.fill_holes,

@@ -355,8 +355,7 @@ def _make_refinement_view() -> tuple[
 
 
 def _align_boundaries(mesh: Mesh) -> object:
-    is_planar = np.zeros(len(mesh.vertices), bool)
-    aligner = kernels.BoundaryAligner(mesh.vertices, mesh.triangles, is_planar, wanted_threads=2)
+    aligner = kernels.BoundaryAligner(mesh.vertices, mesh.triangles, wanted_threads=2)
     aligner.observe(*_make_refinement_view(), (0.01, 0.0))
     return aligner.finish()
 

@@ -2,7 +2,7 @@
 
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
-use numpy::{PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray1, PyReadonlyArray2};
+use numpy::{PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray2};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 
@@ -126,29 +126,24 @@ pub struct BoundaryAligner {
 
 #[pymethods]
 impl BoundaryAligner {
-    /// Find the boundaries of a mesh, which must be manifold. Vertices with `is_planar` stay on their planes.
+    /// Find the boundaries of a mesh, which must be manifold.
     #[new]
-    #[pyo3(signature = (vertices, triangles, is_planar, *, wanted_threads))]
+    #[pyo3(signature = (vertices, triangles, *, wanted_threads))]
     fn new(
         py: Python<'_>,
         vertices: PyReadonlyArray2<'_, f64>,
         triangles: PyReadonlyArray2<'_, i32>,
-        is_planar: PyReadonlyArray1<'_, bool>,
         wanted_threads: usize,
     ) -> PyResult<Self> {
         let count = vertices.as_array().nrows() + triangles.as_array().nrows();
         with_memory_reserve(count, || {
             let points: Vec<[f64; 3]> = rows(&vertices)?;
             let triangles = copy_triangles(&triangles, points.len())?;
-            let is_planar = is_planar.as_array().to_vec();
-            if is_planar.len() != points.len() {
-                return Err(PyValueError::new_err("is_planar must have one value per vertex"));
-            }
             let threads = resolve_thread_count(wanted_threads);
             let outlines = run_detached(py, None, false, |_| {
                 check_points(&points)?;
                 let connectivity = Connectivity::from_triangles_on(threads, points.len(), &triangles)?;
-                Ok(Outlines::new(connectivity, points, &is_planar, threads))
+                Ok(Outlines::new(connectivity, points, threads))
             })?;
             Ok(Self { inner: Mutex::new(Some(outlines)) })
         })

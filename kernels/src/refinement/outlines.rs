@@ -3,9 +3,9 @@
 //! Fusion ends a surface where the voxels around it are incomplete: up to a voxel before the outline of the
 //! object, or beyond it, where depth is wrong next to a discontinuity. Points on a line across the boundary get
 //! the votes of all frames. The boundary belongs where the votes change from surface to free space: there, the
-//! sum of the votes that it contradicts is smallest. Where no frame sees the surface end, it stays. At its new
-//! place, a boundary outside of planes moves to the measured height: curved surfaces do not continue straight on.
+//! sum of the votes that it contradicts is smallest. Where no frame sees the surface end, it stays.
 
+use super::boundary::MIN_COSINE;
 use super::folds::undo_folds;
 use super::normal_filter::{area_normals, vertex_normals};
 use super::observations::DepthFrame;
@@ -22,24 +22,18 @@ const POINTS: usize = 2 * SIDE_POINTS + 1;
 
 /// Measurements up to this many mean edge lengths from the surface may belong to it whatever the noise.
 const REACH_EDGES: f64 = 1.0;
-/// Maximum moves of a boundary vertex within the surface, and along its normal, in mean edge lengths.
+/// Maximum move of a boundary vertex, in mean edge lengths.
 const MAX_MOVE_EDGES: f64 = 1.0;
-const MAX_HEIGHT_EDGES: f64 = 0.5;
 
-/// Iterations that average along the boundary: its direction, its normals, its moves, and its heights.
+/// Iterations that average along the boundary: its direction, its normals, and its moves.
 const DIRECTION_ITERATIONS: usize = 8;
 const NORMAL_ITERATIONS: usize = 3;
 const MOVE_ITERATIONS: usize = 2;
-const HEIGHT_ITERATIONS: usize = 6;
 
-/// Votes for staying, per mean edge length of a move, relative to the typical votes on a point. Then the weights of
-/// staying, relative to a vertex with typical votes on both sides, and with typical votes for surface.
+/// Votes for staying, per mean edge length of a move, relative to the typical votes on a point; and the weight of
+/// staying relative to a vertex with typical votes on both sides.
 const STAY_RATIO: f64 = 0.02;
-const MOVE_PRIOR_RATIO: f64 = 1e-3;
-const HEIGHT_PRIOR_RATIO: f64 = 1e-2;
-
-/// Minimum cosine between the normals of a triangle before and after (37°): moves are within the surface.
-const MIN_COSINE: f64 = 0.8;
+const PRIOR_RATIO: f64 = 1e-3;
 
 /// Boundaries of a mesh, with the votes of depth maps.
 #[derive(Debug)]
@@ -61,14 +55,12 @@ struct RimVertex {
     normal: Vec3,
     /// Unit vector within the surface, away from it; zero if it is not known.
     outwards: Vec3,
-    /// Whether the vertex stays on its plane.
-    is_planar: bool,
 }
 
 impl Outlines {
-    /// Find the boundaries of a mesh. `is_planar` has the vertices that stay on their planes.
-    pub fn new(connectivity: Connectivity, points: Vec<Vec3>, is_planar: &[bool], threads: usize) -> Self {
-        let rim = find_rim(&connectivity, &points, is_planar, threads);
+    /// Find the boundaries of a mesh.
+    pub fn new(connectivity: Connectivity, points: Vec<Vec3>, threads: usize) -> Self {
+        let rim = find_rim(&connectivity, &points, threads);
         let mean_edge = mean_edge(&connectivity, &points);
         Self {
             votes: vec![[Votes::default(); POINTS]; rim.len()],
@@ -105,12 +97,9 @@ impl Outlines {
         if typical == 0.0 {
             return self.points;
         }
-        let moves = self.find_moves(typical);
-        let heights = self.find_heights(&moves, typical);
         let mut points = self.points.clone();
-        for ((one, step), height) in self.rim.iter().zip(moves).zip(heights) {
-            let within = add_scaled(&points[one.vertex], step, &one.outwards);
-            points[one.vertex] = add_scaled(&within, height, &one.normal);
+        for (one, step) in self.rim.iter().zip(self.find_moves(typical)) {
+            points[one.vertex] = add_scaled(&points[one.vertex], step, &one.outwards);
         }
         let references = area_normals(&self.connectivity, &self.points, self.threads);
         undo_folds(
@@ -132,41 +121,16 @@ impl Outlines {
         // more.
         let sums = outlines
             .iter()
-            .map(|&(offset, weight)| [weight * offset / POINTS_PER_EDGE, weight + MOVE_PRIOR_RATIO])
+            .map(|&(offset, weight)| [weight * offset / POINTS_PER_EDGE, weight + PRIOR_RATIO])
             .collect();
         let sums = average_along(&self.rim, sums, MOVE_ITERATIONS);
         let limit = MAX_MOVE_EDGES * self.mean_edge;
         sums.iter().map(|[sum, weight]| (sum / weight * self.mean_edge).clamp(-limit, limit)).collect()
     }
-
-    /// Find the height of the measured surface above each moved rim vertex, in metres: the mean along the boundary. It
-    /// is 0 on planes.
-    fn find_heights(&self, moves: &[f64], typical: f64) -> Vec<f64> {
-        let points_per_metre = POINTS_PER_EDGE / self.mean_edge;
-        let sums = self
-            .votes
-            .iter()
-            .zip(moves)
-            .map(|(line, step)| {
-                let nearest = (SIDE_POINTS as f64 + (step * points_per_metre).round()) as usize;
-                let votes = &line[nearest.min(POINTS - 1)];
-                [f64::from(votes.height) / typical, f64::from(votes.surface) / typical + HEIGHT_PRIOR_RATIO]
-            })
-            .collect();
-        let sums = average_along(&self.rim, sums, HEIGHT_ITERATIONS);
-        let limit = MAX_HEIGHT_EDGES * self.mean_edge;
-        let heights = sums.iter().map(|[sum, weight]| (sum / weight).clamp(-limit, limit));
-        self.rim.iter().zip(heights).map(|(one, height)| if one.is_planar { 0.0 } else { height }).collect()
-    }
 }
 
 /// Find the vertices of all boundaries, in ascending order.
-fn find_rim(
-    connectivity: &Connectivity,
-    points: &[Vec3],
-    is_planar: &[bool],
-    threads: usize,
-) -> Vec<RimVertex> {
+fn find_rim(connectivity: &Connectivity, points: &[Vec3], threads: usize) -> Vec<RimVertex> {
     let normals = vertex_normals(connectivity, &area_normals(connectivity, points, threads), threads);
     // A boundary edge is directed along its triangle, which is on the left.
     let mut links: Vec<[usize; 2]> = connectivity
@@ -187,7 +151,6 @@ fn find_rim(
             neighbours: [i, index_of(next).unwrap_or(i)],
             normal: normals[vertex],
             outwards: [0.0; 3],
-            is_planar: is_planar[vertex],
         })
         .collect();
     for i in 0..rim.len() {

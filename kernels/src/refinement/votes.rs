@@ -15,8 +15,6 @@ const MIN_VOTING_COSINE: f64 = 0.4;
 pub struct Votes {
     pub surface: f32,
     pub free_space: f32,
-    /// Weighted sum of the distances of the measured surface in front of the point, in metres along the normal.
-    pub height: f32,
 }
 
 impl Votes {
@@ -47,7 +45,6 @@ impl Votes {
             self.free_space += weight;
         } else if front < limit && sight.cosine > 0.0 {
             self.surface += weight;
-            self.height += weight * front as f32;
         }
     }
 }

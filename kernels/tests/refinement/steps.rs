@@ -328,14 +328,14 @@ fn frames_vote_for_what_they_measure_and_against_what_they_look_through() {
     assert_eq!(vote(1.0, [0.0, 0.0, -0.9], towards), (false, false), "behind the camera");
 }
 
-/// Align the right boundary of a wall at 1 m, near `x`, with an outline at 0; return its mean, and the largest distance
-/// that other vertices moved.
-fn align(x: f64, [front, behind]: [f32; 2], is_planar: bool, threads: usize) -> (f64, f64, Vec<Vec3>) {
+/// Align the right boundary of a wall at 1 m, near `x`, with an outline at 0. Return its mean, the largest distance
+/// that vertices away from it moved, and all vertices.
+fn align(x: f64, behind: f32, threads: usize) -> (f64, f64, Vec<Vec3>) {
     let side = 40;
     let points: Vec<Vec3> = (0..side * side)
         .map(|i| {
             let (row, column) = (i / side, i % side);
-            [(column + 1 - side) as f64 * SPACING + x, row as f64 * SPACING - 0.1, 1.0]
+            [(column as f64 + 1.0 - side as f64) * SPACING + x, row as f64 * SPACING - 0.1, 1.0]
         })
         .collect();
     let triangles: Vec<[u32; 3]> = grid(side).iter().map(|&[a, b, c]| [a, c, b]).collect();
@@ -347,13 +347,16 @@ fn align(x: f64, [front, behind]: [f32; 2], is_planar: bool, threads: usize) -> 
         [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]],
     );
     // Wall on the left half of the image, the background behind on the right.
-    let depth: Vec<f32> = (0..800 * 600).map(|i| if i % 800 < 400 { front } else { behind }).collect();
-    let mut outlines = Outlines::new(connectivity, points.clone(), &vec![is_planar; points.len()], threads);
+    let depth: Vec<f32> = (0..800 * 600).map(|i| if i % 800 < 400 { 1.0 } else { behind }).collect();
+    let mut outlines = Outlines::new(connectivity, points.clone(), threads);
     outlines.observe(frame(&camera, &depth));
     let moved = outlines.finish();
     let is_right = |v: usize| v % side == side - 1 && v / side > 4 && v / side < side - 5;
     let right: Vec<f64> = (0..side * side).filter(|&v| is_right(v)).map(|v| moved[v][0]).collect();
-    let others = (0..side * side).filter(|&v| v % side != side - 1).map(|v| distance2(&points[v], &moved[v]));
+    // At the corners, the mean along the boundary moves a few vertices of the other sides.
+    let others = (0..side * side)
+        .filter(|&v| v % side < side - 12 || (v % side < side - 1 && (1..side - 1).contains(&(v / side))))
+        .map(|v| distance2(&points[v], &moved[v]));
     (right.iter().sum::<f64>() / right.len() as f64, others.fold(0.0, f64::max).sqrt(), moved)
 }
 
@@ -361,31 +364,21 @@ fn align(x: f64, [front, behind]: [f32; 2], is_planar: bool, threads: usize) -> 
 fn a_boundary_moves_to_the_outline_from_both_sides() {
     let edge = SPACING * (2.0 + 2f64.sqrt()) / 3.0;
     for x in [-0.8 * SPACING, 0.5 * SPACING] {
-        let (mean, others, moved) = align(x, [1.0, 2.0], true, 1);
-        assert!(mean.abs() < 0.15 * edge, "{mean}");
+        let (mean, others, moved) = align(x, 2.0, 1);
+        // The outline is half a pixel to the left; points of the lines are a quarter of an edge apart.
+        assert!((mean + 0.5 / 700.0).abs() < 0.15 * edge, "{mean}");
         assert_eq!(others, 0.0, "only the boundary at the outline moves");
         assert!(moved.iter().all(|p| p[2] == 1.0), "within the surface");
-        assert_eq!(moved, align(x, [1.0, 2.0], true, 2).2, "whatever the number of threads");
+        assert_eq!(moved, align(x, 2.0, 2).2, "whatever the number of threads");
     }
-    let (far, ..) = align(-1.9 * SPACING, [1.0, 2.0], true, 1);
+    let (far, ..) = align(-1.9 * SPACING, 2.0, 1);
     assert!((far - (edge - 1.9 * SPACING)).abs() < 0.1 * edge, "at most one edge length: {far}");
 }
 
 #[test]
 fn a_boundary_without_outline_stays() {
     for behind in [1.0, 0.0, 0.5] {
-        let (mean, others, _) = align(-0.5 * SPACING, [1.0, behind], true, 1);
+        let (mean, others, _) = align(-0.5 * SPACING, behind, 1);
         assert!((mean + 0.5 * SPACING).abs() < 1e-12 && others == 0.0, "depth {behind}: {mean}");
     }
-}
-
-#[test]
-fn a_boundary_outside_of_planes_moves_to_the_measured_height() {
-    let front = 0.998f32;
-    let depths = [front, 2.0];
-    let (.., moved) = align(-0.5 * SPACING, depths, false, 1);
-    let right = |row: usize| moved[row * 40 + 39];
-    assert!((5..35).all(|row| (right(row)[2] - f64::from(front)).abs() < 1e-4), "{:?}", right(20));
-    assert!((0..1600).filter(|v| v % 40 == 20 && (1..39).contains(&(v / 40))).all(|v| moved[v][2] == 1.0));
-    assert!(align(-0.5 * SPACING, depths, true, 1).2.iter().all(|p| p[2] == 1.0), "planes stay planes");
 }
