@@ -48,7 +48,7 @@ def mask_flaps(triangles: Triangles, best_cosines: NDArray[np.float64], is_contr
     # Contradicted surface inside of other surface is no skirt: poses and moving objects contradict it, too.
     is_rim[triangles[is_flap[triangles].all(axis=1)]] = True
     is_skirt = _find_narrow_regions(is_contradicted, is_rim, edges, only_at_rim=True)
-    is_false = is_flap[triangles].all(axis=1) | is_skirt[triangles].all(axis=1)
+    is_false = np.asarray(is_flap[triangles].all(axis=1) | is_skirt[triangles].all(axis=1))
     return np.asarray(is_false | _find_scraps(triangles, is_flap | is_skirt, ~is_false))
 
 

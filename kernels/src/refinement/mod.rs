@@ -7,6 +7,7 @@
 //! | [`normal_filter`] | bilateral filter of triangle normals, and vertices that fit them |
 //! | [`boundary`] | smooth boundaries |
 //! | [`outlines`] | boundaries at the outlines in the depth maps |
+//! | [`depth_frame`] | depth map of a frame |
 //! | [`observations`] | distances of the depth measurements from each vertex |
 //! | [`votes`] | votes of depth maps for and against surface |
 //! | [`residual`] | smooth correction towards the measurements |
@@ -16,6 +17,7 @@
 
 pub mod boundary;
 pub mod creases;
+pub mod depth_frame;
 pub mod folds;
 pub mod normal_filter;
 pub mod observations;

@@ -4,17 +4,14 @@
 //! Fusion interpolates between voxels and averages on both sides of a curved surface, so that its surface lies
 //! a little inside of convex shapes. The depth maps have no such bias.
 
+use super::depth_frame::DepthFrame;
 use super::votes::{Sight, Votes};
 use crate::base::geometry::Vec3;
 use crate::base::parallel::update;
-use crate::fusion::frame_view::{DepthNoiseModel, FusionCamera};
 
 /// Minimum cosine between the normal and the direction to the camera. Beyond it depth says nothing about the
 /// position along the normal.
 const MIN_COSINE: f64 = 0.05;
-
-/// Measurements farther from the surface than this many standard deviations belong to another surface.
-pub const MAX_DEVIATIONS: f64 = 3.0;
 
 /// Sums over the measurements of one vertex.
 #[derive(Clone, Copy, Debug, Default)]
@@ -29,15 +26,6 @@ pub struct Observation {
     /// measured depth, where the distance is not reliable. 0 without any.
     pub best_cosine: f64,
     pub votes: Votes,
-}
-
-/// Depth map of one frame.
-#[derive(Clone, Copy, Debug)]
-pub struct DepthFrame<'a> {
-    pub camera: &'a FusionCamera,
-    /// Depth in metres row by row, not positive where missing.
-    pub depth: &'a [f32],
-    pub noise: DepthNoiseModel,
 }
 
 /// Add the measurements of a frame to the observations of each vertex. Measurements up to `reach` metres from the

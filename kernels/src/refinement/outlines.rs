@@ -6,9 +6,9 @@
 //! sum of the votes that it contradicts is smallest. Where no frame sees the surface end, it stays.
 
 use super::boundary::MIN_COSINE;
+use super::depth_frame::DepthFrame;
 use super::folds::undo_folds;
 use super::normal_filter::{area_normals, vertex_normals};
-use super::observations::DepthFrame;
 use super::refiner::mean_edge;
 use super::votes::Votes;
 use crate::base::geometry::{Vec3, add_scaled, cross, normalize, sub};

@@ -4,9 +4,10 @@
 //! correct the filtered one.
 
 use super::creases::{CreaseVertex, snap_to_planes};
+use super::depth_frame::DepthFrame;
 use super::folds::undo_folds;
 use super::normal_filter::{area_normals, filter_normals, fit_vertices, limit_move, vertex_normals};
-use super::observations::{DepthFrame, Observation, observe};
+use super::observations::{Observation, observe};
 use super::plane_growth::{FilteredSurface, NO_PLANE, PlaneLimits, grow_planes, label_vertices};
 use super::residual::smooth_residuals;
 use super::short_edges::collapse_short_edges;

@@ -3,8 +3,11 @@
 //! A frame votes for a surface that it measures at the point. It votes against it if its ray passes through the
 //! point, from either side, to a surface clearly behind.
 
-use super::observations::{DepthFrame, MAX_DEVIATIONS};
+use super::depth_frame::DepthFrame;
 use crate::base::geometry::{Vec3, dot, norm2, sub};
+
+/// Measurements farther from the surface than this many standard deviations belong to another surface.
+const MAX_DEVIATIONS: f64 = 3.0;
 
 /// Minimum cosine between the normal and the line of sight of a frame that votes. At smaller angles, an error of
 /// a pixel decides whether a ray passes or not.

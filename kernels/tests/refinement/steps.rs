@@ -8,10 +8,11 @@ use scanloom_kernels::mesh::connectivity::Connectivity;
 use scanloom_kernels::mesh::triangle_mesh::Mesh;
 use scanloom_kernels::refinement::boundary::smooth_boundaries;
 use scanloom_kernels::refinement::creases::snap_to_planes;
+use scanloom_kernels::refinement::depth_frame::DepthFrame;
 use scanloom_kernels::refinement::normal_filter::{
     area_normals, filter_normals, fit_vertices, vertex_normals,
 };
-use scanloom_kernels::refinement::observations::{DepthFrame, Observation, observe};
+use scanloom_kernels::refinement::observations::{Observation, observe};
 use scanloom_kernels::refinement::outlines::Outlines;
 use scanloom_kernels::refinement::plane_growth::{
     FilteredSurface, Plane, PlaneLimits, grow_planes, label_vertices,
