@@ -10,6 +10,7 @@ from typing_extensions import disjoint_base
 __all__ = [
     "NEEDLE",
     "AtlasLayout",
+    "BoundaryAligner",
     "CertifiedResult",
     "CertifyResult",
     "FrontMesh",
@@ -507,15 +508,35 @@ class SurfaceRefiner:
             NDArray[np.uint32],
             NDArray[np.float64],
         ],
-        tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.int32], int],
+        tuple[
+            NDArray[np.float64],
+            NDArray[np.float64],
+            NDArray[np.float64],
+            NDArray[np.bool_],
+            NDArray[np.int32],
+            int,
+        ],
     ]:
         """Return the mesh and the values of its vertices.
 
         The mesh: vertices (n, 3), triangles (m, 3), input vertex of the first n − k vertices, and the ends
         (k, 2) and shares (k,) of the others, which were split off edges. The values (n,): moves and
         deviations in metres, largest cosine of the angle between normal and line of sight, 0 if no frame
-        measured the vertex, and its plane, −1 for none; then the number of planes.
+        measured the vertex, True if more frames have seen free space there than surface, and its plane, −1
+        for none; then the number of planes.
         """
+
+@final
+class BoundaryAligner:
+    """Mesh whose boundaries move to the outlines in depth maps. Show all frames, then `finish`."""
+
+    def __new__(
+        cls, vertices: NDArray[np.float64], triangles: NDArray[np.int32], *, wanted_threads: int
+    ) -> BoundaryAligner: ...
+    def observe(self, camera: _Camera, depth: NDArray[np.float32], noise: tuple[float, float]) -> None:
+        """Compare the boundaries with a filtered depth map. `noise` is as in `SurfaceRefiner.observe`."""
+    def finish(self) -> NDArray[np.float64]:
+        """Return the vertices (n, 3), moved at most one mean edge length within the surface."""
 
 def smooth_boundaries(
     vertices: NDArray[np.float64],

@@ -7,7 +7,8 @@ A fused surface has the noise of the sensor, and lies slightly inside of convex 
 2. Filter the normals of the triangles without mixing normals across creases, and fit the vertices to them.
 3. Move the filtered surface to the depth measurements, by a smooth correction along the normals.
 4. Make patches planar that are planar within the standard deviation, with straight creases between them.
-5. Remove flaps: narrow surface that no frame has measured from the front; and smooth the boundary.
+5. Remove false surface: flaps, which no frame has measured from the front, and skirts, which most frames
+   contradict. Smooth the boundary, and move it to the outlines in the depth maps.
 6. Close small holes where no frame has seen free space: continue the surface, with the colours of the photos.
 """
 
@@ -53,7 +54,7 @@ if TYPE_CHECKING:
 
     from scanloom.stages.params.keywords import RefineKeywords
 
-RESULT_VERSION = 4
+RESULT_VERSION = 5
 
 # Corrections towards the depth measurements. The second one starts from a better surface.
 _CORRECTION_COUNT = 2
@@ -61,8 +62,9 @@ _CORRECTION_COUNT = 2
 _BYTES_PER_TRIANGLE = 350
 # Number of fillings in the metrics.
 _LISTED_FILLINGS = 10
-# Mean edge lengths by which vertices of the boundary may move.
-_MAX_BOUNDARY_MOVE = 0.5
+# Mean edge lengths by which vertices of the boundary may move when it is smoothed: before and after it is
+# moved to the outlines.
+_MAX_BOUNDARY_MOVES = 0.5, 0.25
 
 Floats = NDArray[np.float64]
 
@@ -83,7 +85,7 @@ class RefinementResult:
     plane_count : number of planes.
     noise : depth noise of a single measurement (see `DepthNoise`); None if the mesh was not refined.
     moves : (k,) distance of each vertex that stayed from its position in the input, metres.
-    removed_triangles : number of triangles of removed flaps.
+    removed_triangles : number of triangles of removed flaps and skirts.
     is_filled : (n,) True for the vertices inside of closed holes, which no frame measured.
     fillings : of the closed holes, the largest first.
     reason : why the mesh was left as it is; empty if it was refined.
@@ -151,7 +153,7 @@ def refine(
     ----------
     mesh : Mesh, Open3D or trimesh mesh, or a pair of arrays, in the world coordinates of the poses: an
         oriented manifold, as `clean` returns it.
-    frames : frames with depth and poses that the mesh was fused from. Each is read up to four times. Photos
+    frames : frames with depth and poses that the mesh was fused from. Each is read up to five times. Photos
         colour filled holes.
     params, **changes : see RefineParams.
     progress : called after each frame.
@@ -218,41 +220,45 @@ def _refine(
 ) -> RefinementResult:
     _report_data_left_out(mesh)
     refiner = _make_refiner(mesh, params.strength)
-    # The last two passes look for free space, and colour the fillings.
-    passes = 3 + _CORRECTION_COUNT
-    for number in range(passes - 2):
+    # The last passes find the outlines, look for free space, and colour the fillings.
+    passes = 4 + _CORRECTION_COUNT
 
+    def show(observer: _kernels.SurfaceRefiner | _kernels.BoundaryAligner, number: int) -> None:
         def observe(view: PosedDepth) -> None:
             camera = view.camera
             pinhole = (camera.fx, camera.fy, camera.cx, camera.cy, camera.width, camera.height)
             pose = np.ascontiguousarray(view.pose, np.float64)
-            refiner.observe((pinhole, pose), view.surface.depth, (noise.constant, noise.quadratic))
+            observer.observe((pinhole, pose), view.surface.depth, (noise.constant, noise.quadratic))
 
         depth_frames.show_all(observe, partial(_report_pass, progress, number, passes, len(depth_frames)))
+
+    for number in range(1 + _CORRECTION_COUNT):
+        show(refiner, number)
         refiner.filter() if number == 0 else refiner.correct()
     if params.planes:
         refiner.flatten()
     (vertices, triangles, sources, ends, shares), values = refiner.finish()
     release_free_memory()
-    moves, deviations, best_cosines, plane_ids, plane_count = values
+    moves, deviations, best_cosines, is_contradicted, plane_ids, plane_count = values
     if not best_cosines.any():
         return replace(_keep_mesh(mesh, _NOT_MEASURED), skipped=tuple(depth_frames.skipped.values()))
     colors = None if mesh.colors is None else _interpolate_colors(mesh.colors, sources, ends, shares)
-    is_flap = mask_flaps(triangles, best_cosines)
+    is_flap = mask_flaps(triangles, best_cosines, is_contradicted)
     kept = clean(
         Mesh(vertices, triangles[~is_flap], colors, up=mesh.up), CleanParams(min_island_area=0, stitch=False)
     )
     # The mesh can have many million triangles: earlier ones are not kept in memory.
     del vertices, triangles, colors
     release_free_memory()
-    smooth = _kernels.smooth_boundaries(
-        kept.mesh.vertices, kept.mesh.triangles, max_move_ratio=_MAX_BOUNDARY_MOVE, wanted_threads=0
-    )
+    smooth = _smooth_boundaries(kept.mesh, _MAX_BOUNDARY_MOVES[0])
+    aligner = _kernels.BoundaryAligner(smooth.vertices, smooth.triangles, wanted_threads=0)
+    show(aligner, 1 + _CORRECTION_COUNT)
+    aligned = _smooth_boundaries(smooth.with_(vertices=aligner.finish()), _MAX_BOUNDARY_MOVES[1])
     report_depth, report_photo = (
         partial(_report_pass, progress, number, passes, len(depth_frames)) for number in range(passes)[-2:]
     )
     closed = close_holes(
-        kept.mesh.with_(vertices=smooth),
+        aligned,
         plane_ids[kept.vertex_source],
         deviations[kept.vertex_source],
         noise,
@@ -290,6 +296,13 @@ def _make_refiner(mesh: Mesh, strength: float) -> _kernels.SurfaceRefiner:
         raise
     require_manifold(mesh)
     raise AssertionError("has_repeated_vertex and require_manifold disagree")
+
+
+def _smooth_boundaries(mesh: Mesh, max_move_ratio: float) -> Mesh:
+    vertices = _kernels.smooth_boundaries(
+        mesh.vertices, mesh.triangles, max_move_ratio=max_move_ratio, wanted_threads=0
+    )
+    return mesh.with_(vertices=vertices)
 
 
 def _report_pass(progress: Progress, number: int, passes: int, frame_count: int, done: int) -> None:

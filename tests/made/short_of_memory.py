@@ -77,6 +77,7 @@ def _make_calls(mesh: Mesh, side: int) -> dict[str, Call]:
             kernels.smooth_boundaries, mesh.vertices, mesh.triangles, max_move_ratio=0.5, wanted_threads=2
         ),
         "refine_surface": partial(_refine_surface, mesh),
+        "align_boundaries": partial(_align_boundaries, mesh),
         "compute_spatial_order": partial(kernels.compute_spatial_order, mesh.vertices, mesh.triangles),
         "build_levels": partial(
             kernels.build_levels,
@@ -345,12 +346,23 @@ def _make_wall_camera(side: int) -> tuple[tuple[float, float, float, float, int,
     return (side, side, side / 2, side / 2, side, side), np.eye(4)
 
 
-def _refine_surface(mesh: Mesh) -> object:
-    refiner = kernels.SurfaceRefiner(mesh.vertices, mesh.triangles, strength=1.0, wanted_threads=2)
+def _make_refinement_view() -> tuple[
+    tuple[tuple[float, float, float, float, int, int], NDArray[np.float64]], NDArray[np.float32]
+]:
     pose = np.eye(4)
     pose[2, 3] = -1.0
-    camera = ((100.0, 100.0, 50.0, 50.0, 100, 100), pose)
-    depth = np.ones((100, 100), np.float32)
+    return ((100.0, 100.0, 50.0, 50.0, 100, 100), pose), np.ones((100, 100), np.float32)
+
+
+def _align_boundaries(mesh: Mesh) -> object:
+    aligner = kernels.BoundaryAligner(mesh.vertices, mesh.triangles, wanted_threads=2)
+    aligner.observe(*_make_refinement_view(), (0.01, 0.0))
+    return aligner.finish()
+
+
+def _refine_surface(mesh: Mesh) -> object:
+    refiner = kernels.SurfaceRefiner(mesh.vertices, mesh.triangles, strength=1.0, wanted_threads=2)
+    camera, depth = _make_refinement_view()
     refiner.observe(camera, depth, (0.01, 0.0))
     refiner.filter()
     refiner.observe(camera, depth, (0.01, 0.0))

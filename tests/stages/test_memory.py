@@ -63,7 +63,13 @@ SIDES = {
 }
 # Second variants of kernels: remeshing without levels only rounds the base mesh. Also calls on objects: a
 # growing volume, refinement, and rendering.
-OTHER_WAYS = {"remesh_alone": 60, "refine_surface": 150, "integrate": 700, "render_zbuffer": 100}
+OTHER_WAYS = {
+    "remesh_alone": 60,
+    "refine_surface": 150,
+    "align_boundaries": 400,
+    "integrate": 700,
+    "render_zbuffer": 100,
+}
 # Allocates no memory.
 NONE = {"release_free_memory"}
 

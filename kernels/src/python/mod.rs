@@ -124,6 +124,7 @@ fn _kernels(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_class::<planar::PlanarResult>()?;
     module.add_function(wrap_pyfunction!(planar::simplify_planar, module)?)?;
     module.add_function(wrap_pyfunction!(planar::find_planar_patches, module)?)?;
+    module.add_class::<refinement::BoundaryAligner>()?;
     module.add_class::<refinement::SurfaceRefiner>()?;
     module.add_function(wrap_pyfunction!(refinement::smooth_boundaries, module)?)?;
     module.add_class::<fusion::Volume>()?;

@@ -1,4 +1,4 @@
-//! `scanloom.stages._kernels.SurfaceRefiner`.
+//! `scanloom.stages._kernels`: `SurfaceRefiner`, `BoundaryAligner`, `smooth_boundaries`.
 
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
@@ -16,8 +16,9 @@ use crate::fusion::frame_view::DepthNoiseModel;
 use crate::mesh::connectivity::Connectivity;
 use crate::mesh::triangle_mesh::check_points;
 use crate::refinement::boundary::smooth_boundaries as smooth_boundaries_of;
+use crate::refinement::depth_frame::DepthFrame;
 use crate::refinement::normal_filter::{area_normals, vertex_normals};
-use crate::refinement::observations::DepthFrame;
+use crate::refinement::outlines::Outlines;
 use crate::refinement::plane_growth::NO_PLANE;
 use crate::refinement::refiner::{Refiner, mean_edge};
 
@@ -25,8 +26,10 @@ use crate::refinement::refiner::{Refiner, mean_edge};
 /// the others.
 type MeshArrays =
     (Py<PyArray2<f64>>, Py<PyArray2<i32>>, Py<PyArray1<u32>>, Py<PyArray2<u32>>, Py<PyArray1<f64>>);
-/// Moves, deviations, best cosines and planes of the vertices, −1 for no plane; and the number of planes.
-type VertexArrays = (Py<PyArray1<f64>>, Py<PyArray1<f64>>, Py<PyArray1<f64>>, Py<PyArray1<i32>>, usize);
+/// Moves, deviations, best cosines, free space and planes of the vertices, −1 for no plane; and the number of
+/// planes.
+type VertexArrays =
+    (Py<PyArray1<f64>>, Py<PyArray1<f64>>, Py<PyArray1<f64>>, Py<PyArray1<bool>>, Py<PyArray1<i32>>, usize);
 
 /// Mesh under refinement. Show all frames, then `filter`; again, then `correct`, once or more; then `flatten`.
 #[pyclass(frozen, module = "scanloom.stages._kernels")]
@@ -68,15 +71,8 @@ impl SurfaceRefiner {
         depth: DepthMap<'_>,
         noise: (f32, f32),
     ) -> PyResult<()> {
-        let camera = camera_from_pose(&camera)?;
-        with_memory_reserve(camera.width * camera.height, || {
-            // Copied while the GIL prevents other writers.
-            let depth = image_pixels(&depth, &camera)?.to_vec();
-            let (constant, quadratic) = noise;
-            let noise = DepthNoiseModel { typical: 1.0, constant, quadratic };
-            self.run_detached(py, |refiner| {
-                refiner.observe(DepthFrame { camera: &camera, depth: &depth, noise });
-            })
+        with_depth_frame(&camera, &depth, noise, |frame| {
+            self.run_detached(py, |refiner| refiner.observe(frame))
         })
     }
 
@@ -113,12 +109,96 @@ impl SurfaceRefiner {
                     PyArray1::from_vec(py, found.moves).unbind(),
                     PyArray1::from_vec(py, found.deviations).unbind(),
                     PyArray1::from_vec(py, found.best_cosines).unbind(),
+                    PyArray1::from_vec(py, found.contradicted).unbind(),
                     PyArray1::from_iter(py, labels).unbind(),
                     found.plane_count,
                 ),
             ))
         })
     }
+}
+
+/// Mesh whose boundaries move to the outlines in depth maps. Show all frames, then `finish`.
+#[pyclass(frozen, module = "scanloom.stages._kernels")]
+pub struct BoundaryAligner {
+    inner: Mutex<Option<Outlines>>,
+}
+
+#[pymethods]
+impl BoundaryAligner {
+    /// Find the boundaries of a mesh, which must be manifold.
+    #[new]
+    #[pyo3(signature = (vertices, triangles, *, wanted_threads))]
+    fn new(
+        py: Python<'_>,
+        vertices: PyReadonlyArray2<'_, f64>,
+        triangles: PyReadonlyArray2<'_, i32>,
+        wanted_threads: usize,
+    ) -> PyResult<Self> {
+        let count = vertices.as_array().nrows() + triangles.as_array().nrows();
+        with_memory_reserve(count, || {
+            let points: Vec<[f64; 3]> = rows(&vertices)?;
+            let triangles = copy_triangles(&triangles, points.len())?;
+            let threads = resolve_thread_count(wanted_threads);
+            let outlines = run_detached(py, None, false, |_| {
+                check_points(&points)?;
+                let connectivity = Connectivity::from_triangles_on(threads, points.len(), &triangles)?;
+                Ok(Outlines::new(connectivity, points, threads))
+            })?;
+            Ok(Self { inner: Mutex::new(Some(outlines)) })
+        })
+    }
+
+    /// Compare the boundaries with a filtered depth map. `noise` is (constant, quadratic).
+    fn observe(
+        &self,
+        py: Python<'_>,
+        camera: PosedCamera<'_>,
+        depth: DepthMap<'_>,
+        noise: (f32, f32),
+    ) -> PyResult<()> {
+        with_depth_frame(&camera, &depth, noise, |frame| {
+            run_detached(py, None, false, |_| match self.lock().as_mut() {
+                Some(outlines) => {
+                    outlines.observe(frame);
+                    Ok::<_, KernelError>(Ok(()))
+                }
+                None => Ok(Err(())),
+            })?
+            .map_err(|()| finished())
+        })
+    }
+
+    /// Return the vertices, with the boundaries at the outlines. The aligner cannot be used any more.
+    fn finish(&self, py: Python<'_>) -> PyResult<Py<PyArray2<f64>>> {
+        let outlines = self.lock().take().ok_or_else(finished)?;
+        with_memory_reserve(outlines.row_count(), || {
+            let points = run_detached(py, None, false, |_| Ok::<_, KernelError>(outlines.finish()))?;
+            column_array(py, &points, 0..3)
+        })
+    }
+}
+
+impl BoundaryAligner {
+    fn lock(&self) -> MutexGuard<'_, Option<Outlines>> {
+        self.inner.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// Call `work` with a filtered depth map. `noise` is (constant, quadratic).
+fn with_depth_frame<T>(
+    camera: &PosedCamera<'_>,
+    depth: &DepthMap<'_>,
+    (constant, quadratic): (f32, f32),
+    work: impl FnOnce(DepthFrame<'_>) -> PyResult<T>,
+) -> PyResult<T> {
+    let camera = camera_from_pose(camera)?;
+    with_memory_reserve(camera.width * camera.height, || {
+        // Copied while the GIL prevents other writers.
+        let depth = image_pixels(depth, &camera)?.to_vec();
+        let noise = DepthNoiseModel { typical: 1.0, constant, quadratic };
+        work(DepthFrame { camera: &camera, depth: &depth, noise })
+    })
 }
 
 /// Smooth the boundaries of a mesh, within its surface. Returns the vertices, moved at most `max_move_ratio` mean

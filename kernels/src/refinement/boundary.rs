@@ -12,8 +12,8 @@ use crate::mesh::connectivity::Connectivity;
 
 const STEPS: [f64; 2] = [0.5, -0.53];
 const ITERATIONS: usize = 10;
-/// Minimum cosine between the normals of a triangle before and after (60°).
-const MIN_COSINE: f64 = 0.5;
+/// Minimum cosine between the normals of a triangle before and after (37°): moves are within the surface.
+pub const MIN_COSINE: f64 = 0.8;
 
 /// Smooth the boundaries. `normals` are unit normals of the vertices; no vertex moves farther than `max_move`,
 /// and no triangle folds.

@@ -6,7 +6,10 @@
 //! | [`short_edges`] | removal of the thin triangles of marching cubes |
 //! | [`normal_filter`] | bilateral filter of triangle normals, and vertices that fit them |
 //! | [`boundary`] | smooth boundaries |
+//! | [`outlines`] | boundaries at the outlines in the depth maps |
+//! | [`depth_frame`] | depth map of a frame |
 //! | [`observations`] | distances of the depth measurements from each vertex |
+//! | [`votes`] | votes of depth maps for and against surface |
 //! | [`residual`] | smooth correction towards the measurements |
 //! | [`plane_growth`] | planar patches within the standard deviation of the vertices |
 //! | [`creases`] | vertices moved onto planes, and straight creases between them |
@@ -14,10 +17,13 @@
 
 pub mod boundary;
 pub mod creases;
+pub mod depth_frame;
 pub mod folds;
 pub mod normal_filter;
 pub mod observations;
+pub mod outlines;
 pub mod plane_growth;
 pub mod refiner;
 pub mod residual;
 pub mod short_edges;
+pub mod votes;

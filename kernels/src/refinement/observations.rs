@@ -4,16 +4,14 @@
 //! Fusion interpolates between voxels and averages on both sides of a curved surface, so that its surface lies
 //! a little inside of convex shapes. The depth maps have no such bias.
 
-use crate::base::geometry::{Vec3, dot, norm2, sub};
+use super::depth_frame::DepthFrame;
+use super::votes::{Sight, Votes};
+use crate::base::geometry::Vec3;
 use crate::base::parallel::update;
-use crate::fusion::frame_view::{DepthNoiseModel, FusionCamera};
 
 /// Minimum cosine between the normal and the direction to the camera. Beyond it depth says nothing about the
 /// position along the normal.
 const MIN_COSINE: f64 = 0.05;
-
-/// Measurements farther from the surface than this many standard deviations belong to another surface.
-const MAX_DEVIATIONS: f64 = 3.0;
 
 /// Sums over the measurements of one vertex.
 #[derive(Clone, Copy, Debug, Default)]
@@ -27,15 +25,7 @@ pub struct Observation {
     /// Largest cosine between the normal and the direction to a camera that measured the surface, also at the border of
     /// measured depth, where the distance is not reliable. 0 without any.
     pub best_cosine: f64,
-}
-
-/// Depth map of one frame.
-#[derive(Clone, Copy, Debug)]
-pub struct DepthFrame<'a> {
-    pub camera: &'a FusionCamera,
-    /// Depth in metres row by row, not positive where missing.
-    pub depth: &'a [f32],
-    pub noise: DepthNoiseModel,
+    pub votes: Votes,
 }
 
 /// Add the measurements of a frame to the observations of each vertex. Measurements up to `reach` metres from the
@@ -60,26 +50,14 @@ fn add_measurement(
     normal: &Vec3,
     observation: &mut Observation,
 ) {
-    let camera = frame.camera;
-    let row = |i: usize| {
-        let own = &camera.inverse[i];
-        own[0] * point[0] + own[1] * point[1] + own[2] * point[2] + own[3]
-    };
-    let z = row(2);
-    if z <= 0.0 {
-        return;
-    }
-    let at = [0, 1].map(|i| row(i) / z * camera.focal[i] + camera.centre[i]);
-    let Some((pixels, offsets)) = read_pixels(frame, at) else { return };
-    let centre = [0, 1, 2].map(|i| camera.pose[i][3]);
-    let to_point = sub(point, &centre);
-    let along = dot(&to_point, normal);
-    let cosine = -along / norm2(&to_point).sqrt();
+    let Some(sight) = Sight::new(frame, point, normal) else { return };
+    observation.votes.add_sight(frame, reach, &sight);
+    let Sight { z, along, cosine, .. } = sight;
     if cosine <= MIN_COSINE {
         return;
     }
-    let noise = f64::from(frame.noise.constant) + f64::from(frame.noise.quadratic) * z * z;
-    let limit = (MAX_DEVIATIONS * noise).max(reach);
+    let Some((pixels, offsets)) = read_pixels(frame, sight.pixel) else { return };
+    let (noise, limit) = (sight.noise(frame), sight.limit(frame, reach));
     // Measured points are taken to be on the ray through the vertex.
     let distance_of = |depth: f64| (depth / z - 1.0) * along;
     if pixels.iter().all(|&depth| depth > 0.0) {

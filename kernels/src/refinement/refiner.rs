@@ -4,9 +4,10 @@
 //! correct the filtered one.
 
 use super::creases::{CreaseVertex, snap_to_planes};
+use super::depth_frame::DepthFrame;
 use super::folds::undo_folds;
 use super::normal_filter::{area_normals, filter_normals, fit_vertices, limit_move, vertex_normals};
-use super::observations::{DepthFrame, Observation, observe};
+use super::observations::{Observation, observe};
 use super::plane_growth::{FilteredSurface, NO_PLANE, PlaneLimits, grow_planes, label_vertices};
 use super::residual::smooth_residuals;
 use super::short_edges::collapse_short_edges;
@@ -75,6 +76,7 @@ pub struct Refiner {
     deviations: Vec<f64>,
     max_moves: Vec<f64>,
     best_cosines: Vec<f64>,
+    contradicted: Vec<bool>,
     labels: Vec<u32>,
     plane_count: usize,
     created: Vec<CreaseVertex>,
@@ -96,6 +98,8 @@ pub struct RefinedMesh {
     /// Largest cosine between the normal of each vertex and the direction to a camera that measured it; 0 without
     /// any.
     pub best_cosines: Vec<f64>,
+    /// Whether more frames have seen free space at the vertex than surface.
+    pub contradicted: Vec<bool>,
     /// Plane of each vertex; [`NO_PLANE`] for none.
     pub labels: Vec<u32>,
     pub plane_count: usize,
@@ -136,6 +140,7 @@ impl Refiner {
             deviations: vec![0.0; count],
             max_moves: vec![0.0; count],
             best_cosines: vec![0.0; count],
+            contradicted: vec![false; count],
             labels: vec![NO_PLANE; count],
             plane_count: 0,
             created: vec![],
@@ -198,6 +203,7 @@ impl Refiner {
         self.undo_folds();
         // Viewing angles are measured from normals of the filtered surface; input normals are too noisy.
         self.best_cosines = self.observations.iter().map(|one| one.best_cosine).collect();
+        self.contradicted = self.observations.iter().map(|one| one.votes.is_contradicted()).collect();
         self.start_observing();
     }
 
@@ -275,10 +281,12 @@ impl Refiner {
             *step = distance2(&self.points[v], &self.origins[v]).sqrt();
         });
         let (mut best_cosines, mut labels) = (self.best_cosines, self.labels);
+        let mut contradicted = self.contradicted;
         for one in &self.created {
             let [a, b] = one.ends.map(|v| v as usize);
             deviations.push(deviations[a].max(deviations[b]));
             best_cosines.push(best_cosines[a].max(best_cosines[b]));
+            contradicted.push(contradicted[a] && contradicted[b]);
             labels.push(labels[a]);
             moves.push(0.0);
         }
@@ -293,6 +301,7 @@ impl Refiner {
             moves,
             deviations,
             best_cosines,
+            contradicted,
             labels,
             plane_count: self.plane_count,
         }

@@ -8,15 +8,18 @@ use scanloom_kernels::mesh::connectivity::Connectivity;
 use scanloom_kernels::mesh::triangle_mesh::Mesh;
 use scanloom_kernels::refinement::boundary::smooth_boundaries;
 use scanloom_kernels::refinement::creases::snap_to_planes;
+use scanloom_kernels::refinement::depth_frame::DepthFrame;
 use scanloom_kernels::refinement::normal_filter::{
     area_normals, filter_normals, fit_vertices, vertex_normals,
 };
-use scanloom_kernels::refinement::observations::{DepthFrame, Observation, observe};
+use scanloom_kernels::refinement::observations::{Observation, observe};
+use scanloom_kernels::refinement::outlines::Outlines;
 use scanloom_kernels::refinement::plane_growth::{
     FilteredSurface, Plane, PlaneLimits, grow_planes, label_vertices,
 };
 use scanloom_kernels::refinement::refiner::Refiner;
 use scanloom_kernels::refinement::short_edges::collapse_short_edges;
+use scanloom_kernels::refinement::votes::Votes;
 
 const SPACING: f64 = 0.005;
 const NOISE: f64 = 0.0004;
@@ -303,5 +306,80 @@ fn a_refinement_follows_the_measurements_whatever_the_number_of_threads() {
     for (p, &moved) in one.points.iter().zip(&one.moves) {
         assert!((p[2] - 1.0).abs() < 1e-4, "{p:?}");
         assert!(moved < 3.0 * (0.001 + SPACING));
+    }
+}
+
+#[test]
+fn frames_vote_for_what_they_measure_and_against_what_they_look_through() {
+    let camera = camera();
+    let vote = |depth: f32, point: Vec3, normal: Vec3| {
+        let mut votes = Votes::default();
+        votes.add(frame(&camera, &vec![depth; 80 * 60]), REACH, &point, &normal);
+        (votes.surface > 0.0, votes.free_space > 0.0)
+    };
+    let (towards, away, aside) = ([0.0, 0.0, -1.0], [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]);
+    assert_eq!(vote(1.0, [0.0, 0.0, 1.004], towards), (true, false));
+    assert_eq!(vote(1.0, [0.0, 0.0, 0.9], towards), (false, true), "the surface is clearly behind");
+    assert_eq!(vote(1.0, [0.0, 0.0, 1.1], towards), (false, false), "something is in front");
+    assert_eq!(vote(1.0, [0.0, 0.0, 0.9], away), (false, true), "a ray from behind passes, too");
+    assert_eq!(vote(1.0, [0.0, 0.0, 1.0], away), (false, false), "a back is not measured");
+    assert_eq!(vote(1.0, [0.0, 0.0, 0.9], aside), (false, false), "a surface edge-on");
+    assert_eq!(vote(0.0, [0.0, 0.0, 0.9], towards), (false, false), "no depth");
+    assert_eq!(vote(1.0, [9.0, 0.0, 0.9], towards), (false, false), "outside of the image");
+    assert_eq!(vote(1.0, [0.0, 0.0, -0.9], towards), (false, false), "behind the camera");
+}
+
+/// Align the right boundary of a wall at 1 m, near `x`, with an outline at 0. Return its mean, the largest distance
+/// that vertices away from it moved, and all vertices.
+fn align(x: f64, behind: f32, threads: usize) -> (f64, f64, Vec<Vec3>) {
+    let side = 40;
+    let points: Vec<Vec3> = (0..side * side)
+        .map(|i| {
+            let (row, column) = (i / side, i % side);
+            [(column as f64 + 1.0 - side as f64) * SPACING + x, row as f64 * SPACING - 0.1, 1.0]
+        })
+        .collect();
+    let triangles: Vec<[u32; 3]> = grid(side).iter().map(|&[a, b, c]| [a, c, b]).collect();
+    let connectivity = Connectivity::from_triangles(points.len(), &triangles).unwrap();
+    let camera = FusionCamera::new(
+        (800, 600),
+        [700.0, 700.0],
+        [400.0, 300.0],
+        [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]],
+    );
+    // Wall on the left half of the image, the background behind on the right.
+    let depth: Vec<f32> = (0..800 * 600).map(|i| if i % 800 < 400 { 1.0 } else { behind }).collect();
+    let mut outlines = Outlines::new(connectivity, points.clone(), threads);
+    outlines.observe(frame(&camera, &depth));
+    let moved = outlines.finish();
+    let is_right = |v: usize| v % side == side - 1 && v / side > 4 && v / side < side - 5;
+    let right: Vec<f64> = (0..side * side).filter(|&v| is_right(v)).map(|v| moved[v][0]).collect();
+    // At the corners, the mean along the boundary moves a few vertices of the other sides.
+    let others = (0..side * side)
+        .filter(|&v| v % side < side - 12 || (v % side < side - 1 && (1..side - 1).contains(&(v / side))))
+        .map(|v| distance2(&points[v], &moved[v]));
+    (right.iter().sum::<f64>() / right.len() as f64, others.fold(0.0, f64::max).sqrt(), moved)
+}
+
+#[test]
+fn a_boundary_moves_to_the_outline_from_both_sides() {
+    let edge = SPACING * (2.0 + 2f64.sqrt()) / 3.0;
+    for x in [-0.8 * SPACING, 0.5 * SPACING] {
+        let (mean, others, moved) = align(x, 2.0, 1);
+        // The outline is half a pixel to the left; points of the lines are a quarter of an edge apart.
+        assert!((mean + 0.5 / 700.0).abs() < 0.15 * edge, "{mean}");
+        assert_eq!(others, 0.0, "only the boundary at the outline moves");
+        assert!(moved.iter().all(|p| p[2] == 1.0), "within the surface");
+        assert_eq!(moved, align(x, 2.0, 2).2, "whatever the number of threads");
+    }
+    let (far, ..) = align(-1.9 * SPACING, 2.0, 1);
+    assert!((far - (edge - 1.9 * SPACING)).abs() < 0.1 * edge, "at most one edge length: {far}");
+}
+
+#[test]
+fn a_boundary_without_outline_stays() {
+    for behind in [1.0, 0.0, 0.5] {
+        let (mean, others, _) = align(-0.5 * SPACING, behind, 1);
+        assert!((mean + 0.5 * SPACING).abs() < 1e-12 && others == 0.0, "depth {behind}: {mean}");
     }
 }
