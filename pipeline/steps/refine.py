@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from scanloom.pipeline.artifacts.depth_maps import DepthMaps
 from scanloom.pipeline.artifacts.file_names import DEVIATION_PROPERTY, FILLED_PROPERTY
 from scanloom.pipeline.artifacts.mesh_file import MeshFile
 from scanloom.pipeline.artifacts.posed_frames import PosedFrames
@@ -92,7 +93,13 @@ def _run(inputs: RefineInputs, params: RefineSection, context: Context) -> Mappi
     result = context.folder / RefinedMesh.FILE
     if _is_kept({"clean_mesh": inputs.clean_mesh}, params):
         return _copy_mesh(inputs.clean_mesh, result, params)
-    refined = refine(_load_mesh(inputs.clean_mesh), inputs.load_posed(), params, progress=context.progress)
+    refined = refine(
+        _load_mesh(inputs.clean_mesh),
+        inputs.load_posed(),
+        params,
+        progress=context.progress,
+        has_matched_depth=isinstance(inputs.frames, DepthMaps),
+    )
     values = {
         DEVIATION_PROPERTY: refined.deviations.astype(np.float32),
         FILLED_PROPERTY: refined.is_filled.astype(np.float32),

@@ -142,6 +142,7 @@ def refine(
     params: RefineParams | None = None,
     *,
     progress: Progress = ignore_progress,
+    has_matched_depth: bool = False,
     **changes: Unpack[RefineKeywords],
 ) -> RefinementResult:
     """Remove the noise of the sensor from a mesh fused from depth maps.
@@ -157,6 +158,8 @@ def refine(
         colour filled holes.
     params, **changes : see RefineParams.
     progress : called after each frame.
+    has_matched_depth : the depth was computed by image matching, whose windows blur outlines. Boundaries do
+        not move to the outlines then.
 
     Raises
     ------
@@ -184,7 +187,9 @@ def refine(
             refined = _keep_mesh(given, "strength is 0" if params.strength == 0 else _NO_NOISE)
         else:
             depth_frames = DepthFrames(usable, make_depth_limits(FuseParams()))
-            refined = _refine(given, given_frames, depth_frames, noise, params, progress)
+            refined = _refine(
+                given, given_frames, depth_frames, noise, params, progress, has_outlines=not has_matched_depth
+            )
     return replace(refined, diagnostics=tuple(diagnostics))
 
 
@@ -217,11 +222,13 @@ def _refine(
     noise: DepthNoise,
     params: RefineParams,
     progress: Progress,
+    *,
+    has_outlines: bool,
 ) -> RefinementResult:
     _report_data_left_out(mesh)
     refiner = _make_refiner(mesh, params.strength)
     # The last passes find the outlines, look for free space, and colour the fillings.
-    passes = 4 + _CORRECTION_COUNT
+    passes = 3 + has_outlines + _CORRECTION_COUNT
 
     def show(observer: _kernels.SurfaceRefiner | _kernels.BoundaryAligner, number: int) -> None:
         def observe(view: PosedDepth) -> None:
@@ -250,15 +257,16 @@ def _refine(
     # The mesh can have many million triangles: earlier ones are not kept in memory.
     del vertices, triangles, colors
     release_free_memory()
-    smooth = _smooth_boundaries(kept.mesh, _MAX_BOUNDARY_MOVES[0])
-    aligner = _kernels.BoundaryAligner(smooth.vertices, smooth.triangles, wanted_threads=0)
-    show(aligner, 1 + _CORRECTION_COUNT)
-    aligned = _smooth_boundaries(smooth.with_(vertices=aligner.finish()), _MAX_BOUNDARY_MOVES[1])
+    bounded = _smooth_boundaries(kept.mesh, _MAX_BOUNDARY_MOVES[0])
+    if has_outlines:
+        aligner = _kernels.BoundaryAligner(bounded.vertices, bounded.triangles, wanted_threads=0)
+        show(aligner, 1 + _CORRECTION_COUNT)
+        bounded = _smooth_boundaries(bounded.with_(vertices=aligner.finish()), _MAX_BOUNDARY_MOVES[1])
     report_depth, report_photo = (
         partial(_report_pass, progress, number, passes, len(depth_frames)) for number in range(passes)[-2:]
     )
     closed = close_holes(
-        aligned,
+        bounded,
         plane_ids[kept.vertex_source],
         deviations[kept.vertex_source],
         noise,
