@@ -74,7 +74,7 @@ class LevelsParams:
     )
     ratio: float = param(2.5, "Ratio between the error bounds of consecutive levels.", low=1.1, high=10)
     cell_triangles: int = param(
-        8_000, "Maximum triangles of a cell, which is loaded, refined and drawn as a unit.", low=64
+        10_000, "Maximum triangles of a cell, which is loaded, refined and drawn as a unit.", low=64
     )
     root_triangles: int = param(1_000, "Stop when a level has no more triangles than this.", low=4)
     drop_islands: float = param(
