@@ -1,7 +1,7 @@
 """Incremental mapping by pycolmap, on matches in memory.
 
-Schönberger and Frahm, "Structure-from-motion revisited", 2016. Everything runs in one thread with fixed
-seeds, so that equal input gives equal models.
+Schönberger and Frahm, "Structure-from-motion revisited", 2016. Seeds are fixed and mapping runs in one
+thread, so that equal input gives equal models.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from scanloom.stages.diagnostics.errors import UsageError
 from scanloom.stages.registration.structure.photo_features import PhotoFeatures
+from scanloom.stages.scans.model.prefetch import get_worker_count, map_ordered
 from scanloom.stages.scans.model.scan import Camera
 from scanloom.stages.surface.codes import MACHINE_EXTRA_MISSING
 
@@ -24,6 +25,8 @@ if TYPE_CHECKING:
 
 # Minimum number of matches that agree with one camera motion.
 _MIN_INLIERS = 15
+# Maximum number of RANSAC trials; pairs of unrelated photos need all. Half of COLMAP's default.
+_MAX_TRIALS = 5000
 # Minimum number of photos of a model, and maximum number of models of one folder.
 _MIN_MODEL_PHOTOS, _MAX_MODELS = 3, 10
 # One focal length, the principal point in the centre, and one coefficient of radial distortion.
@@ -79,10 +82,12 @@ def verify_matches(
     options.min_num_inliers = _MIN_INLIERS
     options.ransac.random_seed = _SEED
     options.ransac.max_error *= compute_downscaling(photos, max_pixels)
-    verified = []
-    for (first, second), found in matches:
+    options.ransac.max_num_trials = _MAX_TRIALS
+
+    def verify(one: tuple[tuple[int, int], NDArray[np.int64]]) -> tuple[int, int, Any] | None:
+        (first, second), found = one
         if len(found) < _MIN_INLIERS:
-            continue
+            return None
         geometry = pycolmap.estimate_two_view_geometry(
             cameras[first],
             photos[first].pixels + 0.5,
@@ -91,9 +96,12 @@ def verify_matches(
             found.astype(np.uint32),
             options,
         )
-        if len(geometry.inlier_matches) >= _MIN_INLIERS:
-            verified.append((first, second, geometry))
-    return verified
+        return (first, second, geometry) if len(geometry.inlier_matches) >= _MIN_INLIERS else None
+
+    # Each estimate seeds the random numbers of its own thread.
+    threads = get_worker_count()
+    results = map_ordered(verify, matches, threads=threads, max_pending=2 * threads)
+    return [one for one in results if one is not None]
 
 
 def compute_downscaling(photos: Sequence[PhotoFeatures], max_pixels: float) -> float:
