@@ -24,6 +24,7 @@ from scanloom.stages.cleaning.clean import CleanParams
 from scanloom.stages.comparing.compare import CompareParams
 from scanloom.stages.fusion.params import FuseParams
 from scanloom.stages.registration.params import RegisterParams
+from scanloom.stages.registration.structure.params import StructureParams
 from scanloom.stages.scans.params import ScanParams
 from scanloom.stages.simplification.simplify import SimplifyParams
 from scanloom.stages.stereo.depth import DepthParams
@@ -39,6 +40,7 @@ class Config(Sections):
     QUALITIES: ClassVar[Mapping[str, Mapping[str, Mapping[str, Any]]]] = QUALITIES
 
     scan: ScanParams = field(default_factory=ScanParams)
+    structure: StructureParams = field(default_factory=StructureParams)
     depth: DepthParams = field(default_factory=DepthParams)
     register: RegisterParams = field(default_factory=RegisterParams)
     adjust: AdjustParams = field(default_factory=AdjustParams)

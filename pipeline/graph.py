@@ -1,5 +1,6 @@
 """Stages of the pipeline, in execution order.
 
+scan ──structure──▶ sparse_model ─▼     (photos without poses only)
 scan ──depth──▶ frames ──────────────fuse──▶ fused_mesh ──clean──▶ clean_mesh ──refine──▶ refined_mesh
                   ├─register─▶ poses ─▲
                   └─adjust──▶ adjusted_cameras
@@ -36,6 +37,7 @@ from scanloom.pipeline.steps import (
     remesh,
     report,
     simplify,
+    structure,
     texture,
     tiles,
     upright,
@@ -44,6 +46,7 @@ from scanloom.stages.scans.model.scan import Scan
 from scanloom.stages.stereo.depth import DepthParams
 
 STAGES: tuple[AnyStage, ...] = (
+    structure.STAGE,
     depth.STAGE,
     register.STAGE,
     adjust.STAGE,
@@ -96,6 +99,8 @@ def plan_stages(scan: Scan, config: Sections) -> Sequence[AnyStage]:
     available = {scan_name, *(stage.artifact.NAME for stage in stages)}
     if scan.held_out:
         available.add("held_out")
+    if "structure" not in skipped and scan.is_metric:
+        available.add("scan_scale")
     if config.get(DepthParams).model is not None:
         available.add("network")
     if config.get(texture.TextureSection).images is not None:

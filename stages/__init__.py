@@ -58,6 +58,8 @@ if TYPE_CHECKING:
     from scanloom.stages.registration.params import RegisterParams
     from scanloom.stages.registration.register import register
     from scanloom.stages.registration.registration_result import Registration
+    from scanloom.stages.registration.structure.params import StructureParams
+    from scanloom.stages.registration.structure.reconstruct import Structure, reconstruct_cameras
     from scanloom.stages.rendering.image_comparison import ViewComparison, ViewsParams, compare_views
     from scanloom.stages.rendering.render import Viewpoint, render
     from scanloom.stages.rendering.viewpoints import viewpoints
@@ -155,6 +157,8 @@ _NAMES_OF = {
     "stereo.disparity": ("Disparity", "stereo_disparity"),
     "stereo.params": ("SgbmParams",),
     "stereo.views_depth": ("views_depth",),
+    "registration.structure.params": ("StructureParams",),
+    "registration.structure.reconstruct": ("Structure", "reconstruct_cameras"),
     "surface.point_cloud_files": ("read_cloud",),
     "surface.mesh_conversion": (
         "MeshLike",
@@ -239,6 +243,8 @@ __all__ = [
     "Sphere",
     "StageError",
     "StereoRig",
+    "Structure",
+    "StructureParams",
     "Texture",
     "TextureParams",
     "TextureResult",
@@ -276,6 +282,7 @@ __all__ = [
     "read_cloud",
     "read_mesh",
     "read_scan",
+    "reconstruct_cameras",
     "refine",
     "register",
     "remesh",

@@ -39,6 +39,7 @@ OF_EXTRAS = {
     "stages/exporting/usd.py": {"pxr": "usd-core"},
     "stages/surface/formats/e57.py": {"pye57": "pye57"},
     "stages/surface/formats/las.py": {"laspy": "laspy"},
+    "stages/registration/structure/incremental_mapping.py": {"pycolmap": "pycolmap"},
     "stages/stereo/networks/worker.py": {"onnxruntime": "onnxruntime"},
     "stages/rendering/plots.py": {"matplotlib": "matplotlib"},
 }

@@ -88,9 +88,10 @@ PAGE_TABLE = {
         "mesh, and errors become bumps.",
     ),
     "register-and-adjust": Page(
-        ("register", "adjust"),
+        ("structure", "register", "adjust"),
         "Registration and adjustment of poses",
-        "Diagnostics of [register](../stages/register.md) and [adjust](../stages/adjust.md). "
+        "Diagnostics of [structure](../stages/structure.md), [register](../stages/register.md) and "
+        "[adjust](../stages/adjust.md). "
         "`path.ply` shows the path of the camera in the point cloud.",
     ),
     "fuse-and-clean": Page(

@@ -34,6 +34,7 @@ from scanloom.pipeline.stage import AnyStage
 from scanloom.pipeline.steps.adjust import is_adjusted
 from scanloom.pipeline.steps.codes import USAGE_STAGE_SKIPPED
 from scanloom.pipeline.steps.register import is_registered
+from scanloom.pipeline.steps.structure import needs_structure
 from scanloom.stages import __version__
 from scanloom.stages.diagnostics.codes import CONFIG_PARAMETER_UNKNOWN
 from scanloom.stages.diagnostics.collector import collecting, emit
@@ -216,7 +217,7 @@ def prepare_run(
             )
     check_stages([*force, *([] if until is None else [until])])
     scan = read_scan(scan_folder, config.scan, complete=False)
-    require_complete(scan, scan_folder, posed=not is_registered(scan, config))
+    require_complete(scan, scan_folder, posed=not (is_registered(scan, config) or needs_structure(scan)))
     plan = plan_stages(scan, config)
     until = until or plan[-1].name
     skipped = list_skip_reasons(scan, config)

@@ -1,7 +1,7 @@
 """Sources of a run: inputs that no stage writes.
 
-These are the scan, labels of its frames, held-out frames, photos, a network, and whether the mesh gets a
-texture.
+These are the scan, labels of its frames, the scale of poses that are estimated, held-out frames, photos, a
+network, and whether the mesh gets a texture.
 """
 
 from __future__ import annotations
@@ -18,11 +18,13 @@ from scanloom.pipeline.cache.digest import (
 from scanloom.pipeline.config import Config
 from scanloom.pipeline.graph import get_scan_input_name, is_textured
 from scanloom.pipeline.run.engine import StageInput
+from scanloom.pipeline.steps.structure import needs_structure
 from scanloom.stages.diagnostics.codes import MACHINE_BUSY
 from scanloom.stages.diagnostics.errors import StageError
 from scanloom.stages.inspecting.libraries import list_installed_versions
 from scanloom.stages.progress import Progress, ignore_progress
 from scanloom.stages.scans.model.scan import Scan
+from scanloom.stages.scans.params import ScanParams
 from scanloom.stages.stereo.networks.sidecar import get_sidecar_path
 
 
@@ -44,9 +46,20 @@ def load_sources(
         found["photos"] = _make_source(photos, progress)
     if is_textured(scan, config):
         found["is_textured"] = StageInput(compute_digest({}), True, {})
+    if needs_structure(scan) and scan.is_metric:
+        found["scan_scale"] = _make_scale(config.scan)
     if config.depth.model is not None:
         found["network"] = _load_network(Path(config.depth.model))
     return found
+
+
+def _make_scale(params: ScanParams) -> StageInput:
+    """Make the source of the scale of cameras that `structure` estimates."""
+    parts = {
+        "metres per unit": compute_digest(params.resolve_scale()),
+        "tags": compute_digest([params.tag_size, params.tag_family]),
+    }
+    return StageInput(compute_digest(parts), params, parts)
 
 
 def _load_network(file: Path) -> StageInput:

@@ -6,11 +6,12 @@ Depth comes from stereo pairs, from posed views, or from a network that complete
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 from scanloom.pipeline.artifacts.depth_maps import DepthMaps, choose_matcher, write_depth_maps
+from scanloom.pipeline.artifacts.sparse_model import SparseModel
 from scanloom.pipeline.cost_model import CostModel
 from scanloom.pipeline.result_versions import collect_result_versions
 from scanloom.pipeline.sections import Sections
@@ -20,6 +21,7 @@ from scanloom.stages.inspecting.epipolar_check import require_view_poses
 from scanloom.stages.inspecting.libraries import list_installed_versions
 from scanloom.stages.scans.model.scan import Scan
 from scanloom.stages.scans.params import ScanParams
+from scanloom.stages.scans.transforms.scale import apply_scale
 from scanloom.stages.stereo.depth import DepthParams, depth_scan
 from scanloom.stages.stereo.network_depth import load_network
 from scanloom.stages.stereo.networks.network import Network
@@ -32,10 +34,14 @@ class DepthInputs:
     Attributes
     ----------
     scan : scan without depth, or with depth that the network completes.
+    sparse_model : cameras estimated by `structure`, if it ran.
+    scan_scale : parameters with the scale of these cameras, if it is known.
     network : file of `depth.model`.
     """
 
     scan: Scan
+    sparse_model: SparseModel | None = None
+    scan_scale: ScanParams | None = None
     network: Path | None = None
 
 
@@ -45,13 +51,22 @@ def needs_depth(scan: Scan, config: Sections) -> bool:
 
 
 def _run(inputs: DepthInputs, params: DepthParams, context: Context) -> Mapping[str, Any]:
-    scan = inputs.scan
+    scan = _load_posed(inputs)
     if _is_pose_check_enabled(scan, context.config):
         require_view_poses(scan)
     measured = choose_matcher(scan)(scan, params, context.progress)
     metrics = write_depth_maps(context.folder, measured, scan)
     warn_skipped_frames(metrics["frames_skipped"])
     return metrics
+
+
+def _load_posed(inputs: DepthInputs) -> Scan:
+    if inputs.sparse_model is None:
+        return inputs.scan
+    scan = inputs.sparse_model.apply_to(replace(inputs.scan, is_metric=False, scale=None))
+    if inputs.scan_scale is None:
+        return scan
+    return apply_scale(scan, inputs.scan_scale, scan.folder or Path())
 
 
 def _is_pose_check_enabled(scan: Scan, config: Sections) -> bool:

@@ -29,10 +29,10 @@ class RegisterInputs:
 
 
 def is_registered(scan: Scan, config: Sections) -> bool:
-    """Return True if poses are estimated: if poses are missing, or on request."""
+    """Return True if poses are estimated: if frames with depth have none, or on request."""
     params = config.get(RegisterParams)
     if params.enabled is None:
-        return not scan.has_poses or (params.refine and not is_adjusted(scan, config))
+        return (not scan.has_poses and not scan.is_views) or (params.refine and not is_adjusted(scan, config))
     return params.enabled
 
 
@@ -49,6 +49,8 @@ def _get_skip_reason(scan: Scan, config: Sections) -> str | None:
         return None
     if config.get(RegisterParams).enabled is False:
         return "is switched off"
+    if not scan.has_poses:
+        return "does not apply to this scan: structure estimates the poses of photos without depth"
     return (
         "does not apply to this scan: its frames have poses; adjust refines them, and "
         "register.enabled=true estimates new ones"

@@ -432,6 +432,12 @@ class SimplifyKeywords(TypedDict, total=False):
     planar: PlanarParams | PlanarKeywords
 
 
+class StructureKeywords(TypedDict, total=False):
+    """Fields of `StructureParams`."""
+
+    max_megapixels: float
+
+
 class TextureKeywords(TypedDict, total=False):
     """Fields of `TextureParams`."""
 

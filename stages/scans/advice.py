@@ -82,7 +82,8 @@ def describe_photos(folder: Path, photos: Path) -> str:
     where = f"{photos.name}/" if photos != folder else "it"
     command = _describe_colmap(folder, photos)
     return (
-        f"unknown layout: {where} holds images without poses. Give a trajectory with scan.poses=FILE, or "
+        f"unknown layout: {where} holds images without poses. Give a trajectory with scan.poses=FILE, "
+        "estimate poses from at least three photos with scan.layout=photos (other files are ignored), or "
         f"estimate poses with {command} here, and give this folder again."
     )
 

@@ -216,8 +216,8 @@ POSE_MISSING = Code(
     "pose.missing",
     "No poses",
     """
-For frames with depth, the stage `register` of a run estimates the poses. Stereo pairs and single views
-require poses: give a trajectory with `--poses FILE` (`scan.poses`;
+For frames with depth, the stage `register` of a run estimates the poses, for photos alone the stage
+`structure`. Stereo pairs require poses: give a trajectory with `--poses FILE` (`scan.poses`;
 [forms](../formats/scans.md#trajectories)). If all frames have the same pose, the recorder had no tracking.
 """,
     "40753679: no poses: lowres_wide.traj is missing; name a trajectory with scan.poses=FILE",

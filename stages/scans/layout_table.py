@@ -19,6 +19,7 @@ from scanloom.stages.scans.layouts import (
     middlebury_mview,
     nerfstudio,
     nyu,
+    plain_photos,
     plain_stereo,
     plain_views,
     polycam,
@@ -81,7 +82,9 @@ GENERIC_LAYOUTS: tuple[Layout, ...] = (
     plain_stereo.LAYOUT,
     single_pair.LAYOUT,
     redwood.LAYOUT,
-    # Last: it accepts any folder with images and poses.
+    # It accepts any folder with images and poses.
     plain_views.LAYOUT,
+    # Last: it accepts any folder with images alone.
+    plain_photos.LAYOUT,
 )
 LAYOUTS: tuple[Layout, ...] = DISTINCT_LAYOUTS + GENERIC_LAYOUTS

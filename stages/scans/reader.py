@@ -33,7 +33,7 @@ from scanloom.stages.scans.codes import (
 from scanloom.stages.scans.image_folders.image_files import find_common_size
 from scanloom.stages.scans.image_folders.rotated_bits import decode_rotated_scan
 from scanloom.stages.scans.layout_table import DISTINCT_LAYOUTS, GENERIC_LAYOUTS, LAYOUTS
-from scanloom.stages.scans.layouts import plain_views
+from scanloom.stages.scans.layouts import plain_photos, plain_views
 from scanloom.stages.scans.layouts.plain_views import find_photo_folder
 from scanloom.stages.scans.layouts.shared.axis_alignment import apply_axis_alignment
 from scanloom.stages.scans.layouts.shared.layout import Layout
@@ -127,11 +127,11 @@ def _select_layout(folder: Path, options: ScanParams) -> tuple[Path, Layout]:
         _require_readable(folder, named.suffixes)
         return folder, named
     found = find_layout(folder)
+    is_without_poses = found is None or found[0] is plain_photos.LAYOUT
+    if is_without_poses and options.poses is not None and find_photo_folder(folder) is not None:
+        return folder, plain_views.LAYOUT
     if found is not None:
         return folder, found[0]
-    # Photos without poses are not a scan, but here a trajectory file is given.
-    if options.poses is not None and find_photo_folder(folder) is not None:
-        return folder, plain_views.LAYOUT
     inside = _find_scans_inside(folder)
     if len(inside) == 1:
         child, layout = inside[0]
@@ -213,6 +213,12 @@ def _require_options_used(
             SCAN_OPTION_UNUSED,
             "scan.min_confidence requires confidence maps, and these frames have none",
             remedy="remove the option.",
+        )
+    if options.hold_out is not None and read.is_views and not read.has_poses:
+        raise UsageError(
+            SCAN_OPTION_UNUSED,
+            "scan.hold_out requires poses, and these photos have none",
+            remedy="remove the option, or run again with the poses in sparse/ of a first run.",
         )
     if options.poses_by_order and options.poses is None and not read.has_poses:
         raise UsageError(
@@ -364,7 +370,9 @@ def _find_scans_inside(folder: Path, max_depth: int = _MAX_NESTED_FOLDERS) -> li
     try:
         content = sorted(filter(_is_content, folder.iterdir()))
         children = [path for path in content if path.is_dir()]
-        matches = ((child.name, _find_first_match(LAYOUTS, child)) for child in children)
+        # Photos alone are not searched for: they may belong to a scan whose other files are unknown.
+        known = [layout for layout in LAYOUTS if layout is not plain_photos.LAYOUT]
+        matches = ((child.name, _find_first_match(known, child)) for child in children)
         found = [(name, match[0]) for name, match in matches if match is not None]
     except OSError:
         # A subfolder that cannot be listed.

@@ -161,7 +161,18 @@ def test_a_new_stage_is_in_runs_help_toml_json_cache_and_report(checkout: Path, 
 
 @pytest.mark.parametrize("stage", STAGES, ids=lambda stage: stage.name)
 def test_inputs_are_named_after_artifacts_of_other_stages(stage: AnyStage) -> None:
-    sources = {"scan", "frames", "network", "photos", "held_out", "is_textured", "names", "times", "world"}
+    sources = {
+        "scan",
+        "scan_scale",
+        "frames",
+        "network",
+        "photos",
+        "held_out",
+        "is_textured",
+        "names",
+        "times",
+        "world",
+    }
     earlier = {one.artifact.NAME for one in STAGES[: STAGES.index(stage)]}
     assert set(stage.input_names) <= sources | earlier
 

@@ -454,8 +454,8 @@ def test_cache_folder_from_argument_and_environment(rgbd, tmp_path, monkeypatch)
         ({"until": "fuze"}, "there is no stage 'fuze'; did you mean fuse?"),
         (
             {"force": ["all"]},
-            "there is no stage 'all'; known are depth, register, adjust, fuse, clean, refine, upright, "
-            "simplify, ",
+            "there is no stage 'all'; known are structure, depth, register, adjust, fuse, clean, refine, "
+            "upright, simplify, ",
         ),
         ({"until": "depth"}, "depth does not apply to this scan"),
         ({"force": ["depth"]}, "depth does not apply to this scan"),

@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +18,6 @@ import numpy as np
 from scanloom.stages.diagnostics.collector import emit
 from scanloom.stages.diagnostics.errors import InputError
 from scanloom.stages.files import documents
-from scanloom.stages.files.images import has_alpha, read_alpha
 from scanloom.stages.scans.calibration import camera_files as calibration
 from scanloom.stages.scans.calibration.camera_resolution import get_stated_camera
 from scanloom.stages.scans.codes import (
@@ -35,7 +33,11 @@ from scanloom.stages.scans.image_folders.image_files import IMAGE_SUFFIXES, extr
 from scanloom.stages.scans.image_folders.path_remapping import find_listed_file, find_listed_images
 from scanloom.stages.scans.layouts.shared.layout import Layout
 from scanloom.stages.scans.layouts.shared.phone_scans import scale_to_size
-from scanloom.stages.scans.layouts.shared.posed_views import create_view_frame, to_metres
+from scanloom.stages.scans.layouts.shared.posed_views import (
+    create_view_frame,
+    find_transparency_mask,
+    to_metres,
+)
 from scanloom.stages.scans.model.poses import (
     check_rigid_pose,
     from_opengl,
@@ -235,7 +237,7 @@ def _find_mask(folder: Path, entry: dict[str, Any], color: Path, path: Path) -> 
     """Return the mask file of a view, or its transparency as mask."""
     if entry.get("mask_path") is not None:
         return find_listed_file(folder, entry["mask_path"], f"frame {_get_name(entry)}: mask_path", path)
-    return PackedImage(color, "transparency", partial(read_alpha, color)) if has_alpha(color) else None
+    return find_transparency_mask(color)
 
 
 def _require_unmixed(document: dict[str, Any], entries: Sequence[dict[str, Any]], path: Path) -> None:

@@ -26,13 +26,17 @@ def apply_scale(scan: Scan, options: ScanParams, folder: Path) -> Scan:
 
     All lengths are multiplied, including depth, so that depth and poses stay consistent. If depth is metric
     and the poses come from another file, only the poses are scaled. Without a scale, a scan that is not
-    metric gets a warning.
+    metric gets a warning. For photos without poses, the scale is stated, and applied to estimated poses.
 
     Raises
     ------
     InputError
         If the scale must be measured from tags, and this fails.
     """
+    has_lengths = scan.has_poses or not scan.is_views
+    if not has_lengths and options.tag_size is not None:
+        # A run measures the tags after it estimated the poses.
+        return replace(scan, is_metric=True)
     scale = _resolve_scale(scan, options, folder)
     if scale is None:
         if not scan.is_metric:
@@ -45,6 +49,8 @@ def apply_scale(scan: Scan, options: ScanParams, folder: Path) -> Scan:
                 )
             )
         return scan
+    if not has_lengths:
+        return replace(scan, is_metric=True, scale=scale)
     factor = scale.metres_per_unit
     if options.poses is not None and scan.is_metric and not scan.is_views:
         frames = [_scale_frame_pose(frame, factor) for frame in scan.frames]

@@ -28,6 +28,7 @@ EXCERPTS = [
     ("nerfstudio", "real/nerf_alpha_toy", 24, 1012.574, None),
     ("colmap", "real/colmap_views_meeting_room", 14, 786.322, None),
     ("llff", "real/llff_tankard_masks", 8, 10547.244, None),
+    ("photos", "real/instant_ngp_fox/images", 14, 2304.0, None),
     ("middlebury-mview", "stereo/middlebury_templeRing", 47, 1520.4, None),
     ("kitti-stereo", "real/kitti_stereo_2015", 1, 721.538, 0.5327),
     ("kitti", "stereo/kitti_sequence_1", 41, 707.091, 0.5372),

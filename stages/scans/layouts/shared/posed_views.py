@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +10,7 @@ from numpy.typing import NDArray
 
 from scanloom.stages.diagnostics.collector import emit
 from scanloom.stages.diagnostics.errors import InputError
-from scanloom.stages.files.images import read_image_size
+from scanloom.stages.files.images import has_alpha, read_alpha, read_image_size
 from scanloom.stages.scans.codes import CAMERA_CALIBRATION_MISMATCH, SCAN_DEPTH_MISSING
 from scanloom.stages.scans.layouts.shared.phone_scans import scale_to_size
 from scanloom.stages.scans.model.depth_range import estimate_depth_range
@@ -50,6 +51,11 @@ def create_view_frame(
     if points is not None and pose is not None:
         depth_range = estimate_depth_range((points - pose[:3, 3]) @ pose[:3, 2])
     return Frame(name, camera, color=color, world_from_camera=pose, mask=mask, depth_range=depth_range)
+
+
+def find_transparency_mask(color: Path) -> PackedImage | None:
+    """Return the transparency of an image as mask; None without an alpha channel."""
+    return PackedImage(color, "transparency", partial(read_alpha, color)) if has_alpha(color) else None
 
 
 def _warn_if_nearly_same_size(camera: Camera, size: tuple[int, int], color: Path) -> None:

@@ -1,0 +1,1 @@
+"""Structure from motion: camera poses and intrinsics from photos alone."""

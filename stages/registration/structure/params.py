@@ -1,0 +1,24 @@
+"""Parameters of structure from motion."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from scanloom.stages.params import check_parameters, param
+
+
+@dataclass(frozen=True, kw_only=True)
+class StructureParams:
+    """Camera poses and intrinsics of photos without poses (structure from motion)."""
+
+    max_megapixels: float = param(
+        2.0,
+        "Downscale larger photos to this before features are detected. More finds finer features, and takes "
+        "longer.",
+        unit="Mpx",
+        low=0.05,
+        high=100,
+    )
+
+    def __post_init__(self) -> None:
+        check_parameters(self)
