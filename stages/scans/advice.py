@@ -36,11 +36,10 @@ def describe_file(path: Path, *, is_scan_folder: bool) -> str:
         return f"this is a file, not a scan folder. Its folder is a scan: give {folder}."
     if suffix in _VIDEOS:
         photos = f"{path.stem}/images"
-        command = _describe_colmap(Path(path.stem), Path(photos))
         return (
-            "this is a file, not a scan folder: a video, without the poses of its frames. Create the folder "
-            f"{photos}/ and extract frames into it, such as with `ffmpeg -i {name} -vf fps=2 "
-            f"{_quote(photos)}/%05d.jpg`; estimate poses with {command}; then give {path.stem}."
+            "this is a file, not a scan folder: a video. Create the folder "
+            f"{photos}/, extract frames into it, such as with `ffmpeg -i {name} -vf fps=2 "
+            f"{_quote(photos)}/%05d.jpg`, and give {path.stem}: the stage structure estimates their poses."
         )
     if suffix in _ARCHIVES:
         target = _quote(path.name.removesuffix(path.suffix))
