@@ -72,7 +72,7 @@ def test_file_names_are_left_to_the_shell(complete_line: Offered) -> None:
 def test_parameters_are_completed_section_by_section(complete_line: Offered) -> None:
     own = ["limits", "run"]
     assert set(complete_line("scanloom run x --set ")) == {f"{one}." for one in [*own, *Config.get_types()]}
-    assert set(complete_line("scanloom run x --set s")) == {"scan.", "simplify."}
+    assert set(complete_line("scanloom run x --set s")) == {"scan.", "simplify.", "structure."}
     every = [f"report.{name}=" for name in describe_own(Config.get_types()["report"])]
     assert complete_line("scanloom run x --set rep") == complete_line("scanloom run x --set report.") == every
     assert (

@@ -108,7 +108,8 @@ def get_metrics(result, stage: str = "lod") -> dict:
 
 
 def test_lod_is_planned_only_if_enabled_and_reads_the_clean_mesh():
-    plain = Scan(frames=(), folder=None, layout="none")
+    frame = Frame("0", Camera(4, 3, 4.0, 4.0, 1.5, 1.0), depth=np.ones((3, 4), np.float32))
+    plain = Scan(frames=(frame,), folder=None, layout="none")
     assert "lod.enabled=true" in list_skip_reasons(plain, Config())["lod"]
     assert "lod.enabled=true" in list_skip_reasons(plain, Config())["tiles"]
     assert not {"lod", "tiles"} & {stage.name for stage in plan_stages(plain, Config())}
