@@ -98,7 +98,7 @@ pub struct RefinedMesh {
     /// Largest cosine between the normal of each vertex and the direction to a camera that measured it; 0 without
     /// any.
     pub best_cosines: Vec<f64>,
-    /// Whether more frames have seen free space at the vertex than surface.
+    /// True if more frames have seen free space at the vertex than surface.
     pub contradicted: Vec<bool>,
     /// Plane of each vertex; [`NO_PLANE`] for none.
     pub labels: Vec<u32>,

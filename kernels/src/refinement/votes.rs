@@ -21,7 +21,7 @@ pub struct Votes {
 }
 
 impl Votes {
-    /// Return whether most votes are for free space.
+    /// Return true if most votes are for free space.
     pub fn is_contradicted(&self) -> bool {
         self.free_space > self.surface
     }

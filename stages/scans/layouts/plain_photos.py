@@ -3,7 +3,7 @@
     images/IMG_0001.jpg  …     or photos/, frames/ and so on, or in the scan folder itself
     masks/IMG_0001.png         optional, see `scan.masks`
 
-Transparent pixels are masked. A folder with files that may hold poses is none of this layout, so that poses
+Transparent pixels are masked. A folder with files that may hold poses does not match, so that poses
 are not ignored by accident.
 """
 
