@@ -10,7 +10,7 @@ mod collapse {
     mod rounds;
 }
 mod quadric {
-    mod vertex_removal;
+    mod independent_collapses;
 }
 mod fitting {
     mod fit;

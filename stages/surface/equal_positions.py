@@ -12,6 +12,9 @@ from scanloom.stages.surface.mesh import Vertices
 # Large odd numbers without pattern, one per coordinate.
 _FACTORS = tuple(np.uint64(factor) for factor in (0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9))
 
+# With more repeated keys, sorting all keys with their indices is faster.
+_MAX_REPEATED_RATIO = 0.05
+
 
 def find_equal_positions(vertices: Vertices) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
     """Find the sets of vertices at equal positions.
@@ -21,13 +24,32 @@ def find_equal_positions(vertices: Vertices) -> tuple[NDArray[np.int32], NDArray
     sets : (n,) int32, set index of each vertex, numbered from 0 in the order of first vertices.
     first : (s,) first vertex of each set.
     """
-    sets = rank_labels(hash_positions(vertices))
+    sets = _group_equal_keys(hash_positions(vertices))
     first = find_first_members(sets)
     if not np.array_equal(vertices[first][sets], vertices):
         # Hash collision: two different positions have the same key.
         sets = rank_labels(np.unique(vertices, axis=0, return_inverse=True)[1].reshape(-1))
         first = find_first_members(sets)
     return sets, first
+
+
+def _group_equal_keys(keys: NDArray[np.uint64]) -> NDArray[np.int32]:
+    """Compute `rank_labels` of keys, faster if few of them are equal."""
+    ordered = np.sort(keys)
+    repeated = np.unique(ordered[1:][ordered[1:] == ordered[:-1]])
+    if len(repeated) > _MAX_REPEATED_RATIO * len(keys):
+        return rank_labels(keys)
+    if not len(repeated):
+        return np.arange(len(keys), dtype=np.int32)
+    place = np.searchsorted(repeated, keys).clip(max=len(repeated) - 1)
+    members = np.flatnonzero(repeated[place] == keys)
+    _, first, group = np.unique(keys[members], return_index=True, return_inverse=True)
+    is_first = np.ones(len(keys), np.bool_)
+    is_first[members] = False
+    is_first[members[first]] = True
+    sets = np.cumsum(is_first, dtype=np.int32) - np.int32(1)
+    sets[members] = sets[members[first]][group.reshape(-1)]
+    return sets
 
 
 def hash_positions(vertices: Vertices) -> NDArray[np.uint64]:

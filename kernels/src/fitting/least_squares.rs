@@ -11,8 +11,7 @@
 
 use crate::base::errors::KernelError;
 use crate::base::geometry::{
-    Vec3, add_scaled, area, bounding_box, cross, dot, enlarge_box, nearest_on_triangle, norm2, position_of,
-    sub,
+    SearchTriangle, Vec3, add_scaled, area, bounding_box, cross, dot, enlarge_box, norm2, position_of, sub,
 };
 use crate::base::ids::{HalfedgeId, TriangleId, VertexId};
 use crate::base::parallel::{fill, for_each_part};
@@ -122,7 +121,12 @@ impl NearestResultPoint {
 ///
 /// The walk searches the triangles around a vertex, and continues at a corner of the nearest triangle while
 /// that is an improvement.
-fn find_nearest<const D: usize>(mesh: &Mesh<D>, p: &Vec3, start: VertexId) -> Option<NearestResultPoint> {
+fn find_nearest<const D: usize>(
+    mesh: &Mesh<D>,
+    prepared: &[SearchTriangle],
+    p: &Vec3,
+    start: VertexId,
+) -> Option<NearestResultPoint> {
     let mut best: Option<(f64, TriangleId, [f64; 3])> = None;
     let (mut before, mut from) = (VertexId::NONE, start);
     loop {
@@ -134,8 +138,7 @@ fn find_nearest<const D: usize>(mesh: &Mesh<D>, p: &Vec3, start: VertexId) -> Op
             if corners.contains(&before) {
                 continue;
             }
-            let corners = corners.map(|v| position_of(mesh.point(v)));
-            let (at, distance2) = nearest_on_triangle(p, corners.each_ref());
+            let (at, distance2) = prepared[triangle.index()].nearest(p);
             if best.is_none_or(|(least, _, _)| distance2 < least) {
                 best = Some((distance2, triangle, at));
                 closer = true;
@@ -167,13 +170,22 @@ pub fn fit<const D: usize>(
 ) -> Result<(), KernelError> {
     let with_vertices = input.triangles.len() < MIN_CENTRES_PER_TRIANGLE * mesh.connectivity.triangle_count();
     let samples = Samples::new(input, with_vertices);
+    // A triangle that has vanished is never searched.
+    let prepared: Vec<SearchTriangle> = (0..mesh.connectivity.triangle_slots())
+        .map(|t| {
+            let corners = mesh.connectivity.corners(TriangleId::from_index(t));
+            let corners = corners.map(|v| mesh.points.get(v.index()).map_or([0.0; 3], position_of));
+            SearchTriangle::new(corners.each_ref())
+        })
+        .collect();
     let find = |(chunk, hits): (usize, &mut [Option<NearestResultPoint>])| {
         if progress.check().is_err() {
             return;
         }
         for (i, hit) in (SAMPLES_PER_TASK * chunk..).zip(hits) {
             let (point, near) = samples.position_and_start(i);
-            *hit = if near.is_none() { None } else { find_nearest(mesh, &position_of(&point), near) };
+            *hit =
+                if near.is_none() { None } else { find_nearest(mesh, &prepared, &position_of(&point), near) };
         }
     };
     let mut hits = vec![None; samples.len()];

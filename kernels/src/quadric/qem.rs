@@ -18,7 +18,7 @@ use crate::quadrics::quadric::Quadric;
 
 /// Weight of boundary walls: the squared distance to the wall through each boundary edge, times the squared
 /// length of the edge.
-const BOUNDARY_WEIGHT: f64 = 1.0;
+pub const BOUNDARY_WEIGHT: f64 = 1.0;
 
 /// Measure of the simplification by attribute quadrics.
 pub struct Qem<const D: usize, const K: usize> {

@@ -1,18 +1,17 @@
-//! Simplification to a triangle count: removal of independent vertices, then edge collapses in order of error.
+//! Simplification to a triangle count: collapse of independent edges in passes, then edge by edge.
 
 use crate::base::errors::KernelError;
 use crate::base::progress::Progress;
 use crate::collapse::rounds::{Goal, Outcome, collapse};
 use crate::collapse::whole_mesh::WholeMesh;
+use crate::quadric::independent_collapses::collapse_independent_edges;
 use crate::quadric::qem::QemState;
-use crate::quadric::vertex_removal::remove_independent_vertices;
 
-/// Triangles that the removal of vertices leaves, relative to the goal. With 6, the RMS distance of the result
-/// grows by about a hundredth; with 4, by three hundredths.
-const LEFT_PER_WANTED_TRIANGLE: usize = 6;
+/// The passes leave one triangle in this many to the collapse engine, which stops at the exact number.
+const LEFT_TO_ENGINE: usize = 50;
 
-/// Triangles that the removal of vertices leaves at least. Edges of a small mesh collapse in no time.
-const MIN_LEFT: usize = 1 << 14;
+/// Triangles that the passes leave at least. Edges of a small mesh collapse in no time.
+const MIN_LEFT: usize = 1 << 12;
 
 /// Simplify by attribute quadrics until the goal is reached or no edge can collapse.
 ///
@@ -24,13 +23,27 @@ pub fn simplify_by_quadrics<const D: usize, const K: usize>(
     goal: &Goal,
     progress: &mut Progress,
 ) -> Result<Outcome<D, QemState<K>>, KernelError> {
-    let at_start = mesh.triangles.len();
     // In a recorded sequence, all meshes between count, not only the last one.
     if goal.record_positions {
         return collapse(mesh, state, goal, progress);
     }
-    let left = goal.triangles.saturating_mul(LEFT_PER_WANTED_TRIANGLE).max(MIN_LEFT);
-    let (mesh, state, mut logs) = remove_independent_vertices(mesh, state, left, goal, progress)?;
+    simplify_in_passes(mesh, state, MIN_LEFT, goal, progress)
+}
+
+/// As [`simplify_by_quadrics`]; the passes leave at least `min_left` triangles.
+///
+/// # Errors
+/// As [`collapse`].
+pub fn simplify_in_passes<const D: usize, const K: usize>(
+    mesh: WholeMesh<D, ()>,
+    state: QemState<K>,
+    min_left: usize,
+    goal: &Goal,
+    progress: &mut Progress,
+) -> Result<Outcome<D, QemState<K>>, KernelError> {
+    let at_start = mesh.triangles.len();
+    let left = goal.triangles.saturating_add(goal.triangles / LEFT_TO_ENGINE).max(min_left);
+    let (mesh, state, mut logs) = collapse_independent_edges(mesh, state, left, goal, progress)?;
     let removed = at_start - mesh.triangles.len();
     let wanted = at_start.saturating_sub(goal.triangles);
     let mut outcome = collapse(mesh, state, goal, &mut progress.for_part(removed as u64, wanted as u64))?;

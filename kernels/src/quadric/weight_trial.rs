@@ -13,7 +13,7 @@ use crate::collapse::rounds::{Goal, REGION_TRIANGLES};
 use crate::collapse::whole_mesh::WholeMesh;
 use crate::quadric::color_weight::{grid_cell, hash_cell};
 use crate::quadric::qem::QemState;
-use crate::quadric::simplify::simplify_by_quadrics;
+use crate::quadric::simplify::simplify_in_passes;
 
 /// Maximum ratio of the shape error with colours to the error without.
 const MAX_SHAPE_ERROR_RATIO: f64 = 1.2;
@@ -168,14 +168,15 @@ impl<const D: usize> MeshSample<D> {
         if left >= self.triangles.len() {
             return Ok(weight);
         }
-        let mut error = |weight| self.shape_error::<K>(left, weight, threads, progress);
         let least = MIN_SHAPE_ERROR_RATIO * diagonal(&bounding_box(self.points.iter().map(position_of)));
         // All vertices may be at the same point.
-        let alone = error(0.0)?.map(|e| e.max(least)).filter(|e| *e > 0.0);
+        let alone = self.without_attributes().shape_error::<0>(left, 0.0, threads, progress)?;
+        let alone = alone.map(|e| e.max(least)).filter(|e| *e > 0.0);
         let Some(alone) = alone else { return Ok(weight) };
         let mut tried = weight;
         for _ in 0..trials {
-            let Some(ratio) = error(tried)?.map(|e| e / alone) else { return Ok(weight) };
+            let error = self.shape_error::<K>(left, tried, threads, progress)?;
+            let Some(ratio) = error.map(|e| e / alone) else { return Ok(weight) };
             if ratio <= MAX_SHAPE_ERROR_RATIO {
                 break;
             }
@@ -184,6 +185,13 @@ impl<const D: usize> MeshSample<D> {
                 .clamp(0.1, 0.8);
         }
         Ok(tried)
+    }
+
+    fn without_attributes(&self) -> MeshSample<3> {
+        MeshSample {
+            points: self.points.iter().map(position_of).collect(),
+            triangles: self.triangles.clone(),
+        }
     }
 
     /// Measure the root mean square distance of the vertices from the simplified sample.
@@ -205,7 +213,7 @@ impl<const D: usize> MeshSample<D> {
             min_collapse_ratio: 0.0,
             record_positions: false,
         };
-        let mesh = match simplify_by_quadrics(whole, records, &goal, progress) {
+        let mesh = match simplify_in_passes(whole, records, 0, &goal, progress) {
             Ok(outcome) => outcome.mesh,
             Err(error) if error.is_aborted() => return Err(error),
             Err(_) => return Ok(None),
