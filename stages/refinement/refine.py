@@ -6,7 +6,8 @@ A fused surface has the noise of the sensor, and lies slightly inside of convex 
    its measurements. No vertex moves farther than three standard deviations from its position in the input.
 2. Filter the normals of the triangles without mixing normals across creases, and fit the vertices to them.
 3. Move the filtered surface to the depth measurements, by a smooth correction along the normals.
-4. Make patches planar that are planar within the standard deviation, with straight creases between them.
+4. Make patches planar that are planar within the standard deviation, also several adjacent ones together,
+   with straight creases between them.
 5. Remove false surface: flaps, which no frame has measured from the front, and skirts, which most frames
    contradict. Smooth the boundary, and move it to the outlines in the depth maps.
 6. Close small holes where no frame has seen free space: continue the surface, with the colours of the photos.
@@ -54,7 +55,7 @@ if TYPE_CHECKING:
 
     from scanloom.stages.params.keywords import RefineKeywords
 
-RESULT_VERSION = 5
+RESULT_VERSION = 6
 
 # Corrections towards the depth measurements. The second one starts from a better surface.
 _CORRECTION_COUNT = 2

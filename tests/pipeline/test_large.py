@@ -159,6 +159,9 @@ def test_refining_a_chunked_mesh_equals_in_memory_refinement(made: Any, tmp_path
     assert chunked.read_bytes() != (out / "clean.ply").read_bytes()
     assert get_metrics(result, "refine") == get_metrics(at_once, "refine")
     assert get_metrics(result, "refine")["why"] == ""
+    # Flaps, skirts and holes extend over chunks.
+    assert get_metrics(result, "refine")["removed_triangles"] > 0
+    assert get_metrics(result, "refine")["filled_holes"] > 0
     folders = [next((Path(f"{one}-cache") / "refine").iterdir()) for one in (out, tmp_path / "out")]
     assert [make_table_path(one / "refined.ply").exists() for one in folders] == [True, False]
     assert 0 < np.median(read_vertex_values(chunked, "deviation")) < 0.01

@@ -12,6 +12,7 @@
 //! | [`votes`] | votes of depth maps for and against surface |
 //! | [`residual`] | smooth correction towards the measurements |
 //! | [`plane_growth`] | planar patches within the standard deviation of the vertices |
+//! | [`plane_merging`] | adjacent patches that are one plane |
 //! | [`creases`] | vertices moved onto planes, and straight creases between them |
 //! | [`folds`] | steps shortened where they fold triangles |
 
@@ -23,6 +24,7 @@ pub mod normal_filter;
 pub mod observations;
 pub mod outlines;
 pub mod plane_growth;
+pub mod plane_merging;
 pub mod refiner;
 pub mod residual;
 pub mod short_edges;

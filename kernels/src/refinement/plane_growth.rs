@@ -165,8 +165,7 @@ fn grow(
         }
         plane = PatchMoments::gather(surface, members).fit();
     }
-    let moments = PatchMoments::gather(surface, members);
-    (moments.bend(surface, members, &plane) <= limits.max_bend).then_some(plane)
+    (PatchMoments::gather(surface, members).bend(&plane) <= limits.max_bend).then_some(plane)
 }
 
 fn fits(surface: &FilteredSurface<'_>, limits: &PlaneLimits, t: usize, plane: &Plane) -> bool {
@@ -177,45 +176,100 @@ fn fits(surface: &FilteredSurface<'_>, limits: &PlaneLimits, t: usize, plane: &P
         })
 }
 
-/// Weighted moments of the centroids of a patch, relative to its first one.
-struct PatchMoments {
+/// Moments of the triangles of a patch, at centroids relative to an origin.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct PatchMoments {
     origin: Vec3,
+    triangles: usize,
+    /// With weights area / variance.
     weight: f64,
     sum: Vec3,
     products: [Vec3; 3],
+    /// With the areas as weights: centroids, their products, normals, and products of normals with centroids.
+    area: f64,
+    area_sum: Vec3,
+    area_products: [Vec3; 3],
     normal: Vec3,
-    triangles: usize,
+    normal_products: [Vec3; 3],
 }
 
 impl PatchMoments {
+    /// Create empty moments relative to an origin.
+    pub fn new(origin: Vec3) -> Self {
+        Self { origin, ..Self::default() }
+    }
+
     fn gather(surface: &FilteredSurface<'_>, members: &[usize]) -> Self {
-        let origin = surface.centroid(members[0]);
-        let mut moments = Self {
-            origin,
-            weight: 0.0,
-            sum: [0.0; 3],
-            products: [[0.0; 3]; 3],
-            normal: [0.0; 3],
-            triangles: members.len(),
-        };
-        for &t in members {
-            let at = sub(&surface.centroid(t), &origin);
-            let corners = surface.connectivity.corners(TriangleId::from_index(t));
-            let variance: f64 = corners.iter().map(|v| surface.deviations[v.index()].powi(2)).sum();
-            let weight = surface.areas[t] / variance.max(f64::MIN_POSITIVE);
-            moments.weight += weight;
-            moments.sum = add_scaled(&moments.sum, weight, &at);
-            (0..3).for_each(|i| {
-                moments.products[i] = add_scaled(&moments.products[i], weight * at[i], &at);
-            });
-            moments.normal = add_scaled(&moments.normal, surface.areas[t], &surface.normals[t]);
-        }
+        let mut moments = Self::new(surface.centroid(members[0]));
+        members.iter().for_each(|&t| moments.add_triangle(surface, t));
         moments
     }
 
+    /// Add a triangle.
+    pub fn add_triangle(&mut self, surface: &FilteredSurface<'_>, t: usize) {
+        let at = sub(&surface.centroid(t), &self.origin);
+        let corners = surface.connectivity.corners(TriangleId::from_index(t));
+        let variance: f64 = corners.iter().map(|v| surface.deviations[v.index()].powi(2)).sum();
+        let (area, normal) = (surface.areas[t], &surface.normals[t]);
+        let weight = area / variance.max(f64::MIN_POSITIVE);
+        self.triangles += 1;
+        self.weight += weight;
+        self.sum = add_scaled(&self.sum, weight, &at);
+        self.area += area;
+        self.area_sum = add_scaled(&self.area_sum, area, &at);
+        self.normal = add_scaled(&self.normal, area, normal);
+        for i in 0..3 {
+            self.products[i] = add_scaled(&self.products[i], weight * at[i], &at);
+            self.area_products[i] = add_scaled(&self.area_products[i], area * at[i], &at);
+            self.normal_products[i] = add_scaled(&self.normal_products[i], area * normal[i], &at);
+        }
+    }
+
+    /// Add the moments of another patch with the same origin.
+    pub fn add(&mut self, other: &Self) {
+        self.triangles += other.triangles;
+        self.weight += other.weight;
+        self.area += other.area;
+        for (own, added) in [
+            (&mut self.sum, &other.sum),
+            (&mut self.area_sum, &other.area_sum),
+            (&mut self.normal, &other.normal),
+        ] {
+            *own = add_scaled(own, 1.0, added);
+        }
+        for (own, added) in [
+            (&mut self.products, &other.products),
+            (&mut self.area_products, &other.area_products),
+            (&mut self.normal_products, &other.normal_products),
+        ] {
+            (0..3).for_each(|i| own[i] = add_scaled(&own[i], 1.0, &added[i]));
+        }
+    }
+
+    /// Return the number of triangles.
+    pub fn triangle_count(&self) -> usize {
+        self.triangles
+    }
+
+    /// Compute the mean normal.
+    pub fn mean_normal(&self) -> Vec3 {
+        normalize(&self.normal)
+    }
+
+    /// Compute the RMS height of the triangles over a plane, in standard deviations of their vertices.
+    pub fn rms_deviations(&self, plane: &Plane) -> f64 {
+        let to_plane = sub(&self.origin, &plane.origin);
+        let offset = dot(&plane.normal, &to_plane);
+        let linear = dot(&plane.normal, &self.sum);
+        let square: f64 = (0..3).map(|i| plane.normal[i] * dot(&plane.normal, &self.products[i])).sum();
+        let heights = square + 2.0 * offset * linear + offset * offset * self.weight;
+        // The variance of a weight is the sum over three vertices.
+        (3.0 * heights.max(0.0) / self.area.max(f64::MIN_POSITIVE)).sqrt()
+    }
+
     /// Fit the plane: least squares of the heights over the mean normal.
-    fn fit(&self) -> Plane {
-        let normal = normalize(&self.normal);
+    pub fn fit(&self) -> Plane {
+        let normal = self.mean_normal();
         let middle = self.sum.map(|x| x / self.weight);
         let origin = add_scaled(&self.origin, 1.0, &middle);
         if self.triangles < MIN_FITTED {
@@ -225,7 +279,7 @@ impl PatchMoments {
         let covariance: [Vec3; 3] = std::array::from_fn(|i| {
             std::array::from_fn(|k| self.products[i][k] / self.weight - middle[i] * middle[k])
         });
-        let form = |a: &Vec3, b: &Vec3| dot(a, &[0, 1, 2].map(|i| dot(&covariance[i], b)));
+        let form = |a: &Vec3, b: &Vec3| apply_form(&covariance, a, b);
         let (ee, ef, ff) = (form(&e, &e), form(&e, &f), form(&f, &f));
         let (eh, fh) = (form(&e, &normal), form(&f, &normal));
         let determinant = ee * ff - ef * ef;
@@ -237,48 +291,38 @@ impl PatchMoments {
     }
 
     /// RMS angle, in radians, by which normals change linearly across the patch.
-    fn bend(&self, surface: &FilteredSurface<'_>, members: &[usize], plane: &Plane) -> f64 {
-        let frame = complete_frame(&plane.normal);
-        let (mut area, mut mean, mut squares) = (0.0, [0.0; 2], [0.0; 3]);
-        let (mut tilt, mut products) = ([0.0; 2], [[0.0; 2]; 2]);
-        for &t in members {
-            let at = sub(&surface.centroid(t), &plane.origin);
-            let at = [0, 1].map(|i| dot(&frame[i], &at));
-            let lean = [0, 1].map(|i| dot(&frame[i], &surface.normals[t]));
-            let w = surface.areas[t];
-            area += w;
-            (0..2).for_each(|i| {
-                mean[i] += w * at[i];
-                tilt[i] += w * lean[i];
-                (0..2).for_each(|k| products[i][k] += w * lean[i] * at[k]);
-            });
-            squares = [
-                squares[0] + w * at[0] * at[0],
-                squares[1] + w * at[0] * at[1],
-                squares[2] + w * at[1] * at[1],
-            ];
-        }
-        if area <= 0.0 {
+    pub fn bend(&self, plane: &Plane) -> f64 {
+        if self.area <= 0.0 {
             return 0.0;
         }
-        let [xx, xy, yy] = [
-            squares[0] / area - mean[0] * mean[0] / (area * area),
-            squares[1] / area - mean[0] * mean[1] / (area * area),
-            squares[2] / area - mean[1] * mean[1] / (area * area),
-        ];
+        let frame = complete_frame(&plane.normal);
+        let (middle, normal) = (self.area_sum.map(|x| x / self.area), self.normal.map(|x| x / self.area));
+        let center = |products: &[Vec3; 3], first: &Vec3| -> [Vec3; 3] {
+            std::array::from_fn(|i| {
+                std::array::from_fn(|k| products[i][k] / self.area - first[i] * middle[k])
+            })
+        };
+        let spread = center(&self.area_products, &middle);
+        let lean = center(&self.normal_products, &normal);
+        let [xx, xy, yy] = [[0, 0], [0, 1], [1, 1]].map(|[i, k]| apply_form(&spread, &frame[i], &frame[k]));
         let determinant = xx * yy - xy * xy;
         if determinant <= 1e-9 * (xx + yy) * (xx + yy) {
             return 0.0;
         }
         let explained: f64 = (0..2)
             .map(|i| {
-                let [px, py] = [0, 1].map(|k| products[i][k] / area - tilt[i] * mean[k] / (area * area));
+                let [px, py] = [0, 1].map(|k| apply_form(&lean, &frame[i], &frame[k]));
                 let (a, b) = ((px * yy - py * xy) / determinant, (py * xx - px * xy) / determinant);
                 a * px + b * py
             })
             .sum();
         explained.max(0.0).sqrt()
     }
+}
+
+/// Compute the product aᵀ M b.
+fn apply_form(matrix: &[Vec3; 3], a: &Vec3, b: &Vec3) -> f64 {
+    dot(a, &[0, 1, 2].map(|i| dot(&matrix[i], b)))
 }
 
 /// Labels of vertices: the plane of most of their triangles' area, then of neighbours whose plane is near

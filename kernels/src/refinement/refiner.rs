@@ -9,6 +9,7 @@ use super::folds::undo_folds;
 use super::normal_filter::{area_normals, filter_normals, fit_vertices, limit_move, vertex_normals};
 use super::observations::{Observation, observe};
 use super::plane_growth::{FilteredSurface, NO_PLANE, PlaneLimits, grow_planes, label_vertices};
+use super::plane_merging::{MergeLimits, merge_planes};
 use super::residual::smooth_residuals;
 use super::short_edges::collapse_short_edges;
 use crate::base::errors::KernelError;
@@ -47,6 +48,10 @@ const PLANE_ANGLE: f64 = 5.0 * DEGREE;
 const PLANE_DEVIATIONS: f64 = 4.0;
 const MIN_PLANE_TRIANGLES: usize = 150;
 const MAX_PLANE_BEND: f64 = 1.5 * DEGREE;
+/// Adjacent planes that merge: RMS height over the common plane in standard deviations, and angle to it. Planes
+/// at a larger angle form creases.
+const MERGE_DEVIATIONS: f64 = 1.5;
+const MERGE_ANGLE: f64 = 15.0 * DEGREE;
 /// Neighbours of planes that join them: heights, angle, and maximum number of layers.
 const JOIN_DEVIATIONS: f64 = 2.5;
 const JOIN_ANGLE: f64 = 45.0 * DEGREE;
@@ -227,7 +232,7 @@ impl Refiner {
             min_triangles: MIN_PLANE_TRIANGLES,
             max_bend: MAX_PLANE_BEND,
         };
-        let (planes, triangle_labels) = grow_planes(&surface, &limits, self.threads);
+        let (mut planes, triangle_labels) = grow_planes(&surface, &limits, self.threads);
         let join = PlaneLimits {
             min_cosine: JOIN_ANGLE.cos(),
             max_deviations: JOIN_DEVIATIONS * self.strength,
@@ -242,6 +247,12 @@ impl Refiner {
             JOIN_LAYERS,
             self.threads,
         );
+        let merge = MergeLimits {
+            min_cosine: MERGE_ANGLE.cos(),
+            max_rms_deviations: MERGE_DEVIATIONS * self.strength,
+            max_bend: MAX_PLANE_BEND,
+        };
+        merge_planes(&surface, &merge, &triangle_labels, &mut planes, &mut self.labels);
         self.plane_count = planes.len();
         let mut from = std::mem::take(&mut self.points);
         let mut creased = snap_to_planes(

@@ -17,6 +17,7 @@ use scanloom_kernels::refinement::outlines::Outlines;
 use scanloom_kernels::refinement::plane_growth::{
     FilteredSurface, Plane, PlaneLimits, grow_planes, label_vertices,
 };
+use scanloom_kernels::refinement::plane_merging::{MergeLimits, merge_planes};
 use scanloom_kernels::refinement::refiner::Refiner;
 use scanloom_kernels::refinement::short_edges::collapse_short_edges;
 use scanloom_kernels::refinement::votes::Votes;
@@ -149,6 +150,54 @@ fn a_ball_has_no_planes() {
     let connectivity = Connectivity::from_triangles(points.len(), &grid(side)).unwrap();
     let sheet = FilteredSheet::new(&connectivity, &points);
     assert!(grow_planes(&sheet.surface(&connectivity), &limits(5.0, 4.0), 1).0.is_empty());
+}
+
+/// Merge three strips of a sheet: a wall, a floor, and a floor tilted by an angle. Returns the planes, and the label
+/// of a vertex of each strip.
+fn merge_strips(tilt: f64) -> (Vec<Plane>, [u32; 3]) {
+    let (side, step) = (48, 16);
+    let points: Vec<Vec3> = (0..side * side)
+        .map(|i| {
+            let (s, t) = ((i / side) as f64 - step as f64, (i % side) as f64);
+            let along = (s - step as f64).max(0.0);
+            let up = (-s).max(0.0) + along * tilt.to_radians().tan();
+            [s.max(0.0) * SPACING, t * SPACING, up * SPACING]
+        })
+        .collect();
+    let connectivity = Connectivity::from_triangles(points.len(), &grid(side)).unwrap();
+    let weighted = area_normals(&connectivity, &points, 1);
+    let sheet = FilteredSheet {
+        normals: weighted.iter().map(normalize).collect(),
+        vertex_normals: vec![],
+        areas: weighted.iter().map(|n| 0.5 * norm2(n).sqrt()).collect(),
+        deviations: vec![NOISE; points.len()],
+        points,
+    };
+    let strip_of = |v: usize| ((v / side) / step) as u32;
+    let triangle_labels: Vec<u32> =
+        connectivity.triangles().map(|t| strip_of(connectivity.corners(t)[0].index())).collect();
+    let mut labels: Vec<u32> = (0..side * side).map(strip_of).collect();
+    let mut planes = vec![
+        Plane { normal: [1.0, 0.0, 0.0], origin: [0.0; 3] },
+        Plane { normal: [0.0, 0.0, 1.0], origin: [0.0; 3] },
+        Plane::default(),
+    ];
+    let limits = MergeLimits { min_cosine: 0.966, max_rms_deviations: 1.5, max_bend: 0.026 };
+    merge_planes(&sheet.surface(&connectivity), &limits, &triangle_labels, &mut planes, &mut labels);
+    (planes, [0, 1, 2].map(|strip| labels[(strip * step + step / 2) * side]))
+}
+
+#[test]
+fn patches_within_the_noise_of_one_plane_merge_and_others_stay() {
+    let (planes, labels) = merge_strips(1.0);
+    assert_eq!(labels, [0, 1, 1]);
+    assert_eq!(planes.len(), 2);
+    let normal = planes[1].normal;
+    assert!(normal[2].abs() > 0.9999 && normal[0].abs() > 0.005, "between both tilts: {normal:?}");
+    // Too far from a common plane, and too bent.
+    let (planes, labels) = merge_strips(6.0);
+    assert_eq!(labels, [0, 1, 2]);
+    assert_eq!(planes.len(), 3);
 }
 
 #[test]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,11 +16,15 @@ from scanloom.stages import (
     Scan,
     clean,
     fuse,
+    read_scan,
     refine,
     to_trimesh,
     topology,
 )
+from scanloom.stages.scans.model.threads import THREADS_VARIABLE
+from scanloom.stages.surface.edges import build_edges
 from scanloom.stages.surface.mesh import Triangles, Vertices
+from tests.made.chunked_sample import write_partial_sample
 from tests.made.posed_scene import BOARD_Z, CAMERA, RADIUS, make_posed_scan
 
 NOISE = 0.0015  # standard deviation of depth, metres
@@ -125,6 +130,40 @@ def test_a_second_refinement_gives_the_same_bits(fused: Mesh, scan: Scan, refine
     again = refine(fused, scan.frames)
     assert np.array_equal(again.mesh.vertices, refined.mesh.vertices)
     assert np.array_equal(again.mesh.triangles, refined.mesh.triangles)
+
+
+def test_every_thread_count_gives_the_same_bits(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    sample = read_scan(write_partial_sample(tmp_path / "scan", list(range(0, 24, 6))))
+    mesh = clean(fuse(sample, voxel_size=0.015).mesh).mesh
+    found = []
+    for threads in ("1", "2", "4"):
+        monkeypatch.setenv(THREADS_VARIABLE, threads)
+        found.append(refine(mesh, sample))
+    first = found[0]
+    # Flaps, skirts and filled holes are part of the comparison.
+    assert first.removed_triangles > 0
+    assert first.is_filled.any()
+    for other in found[1:]:
+        for name in ("deviations", "plane_ids", "moves", "is_filled"):
+            assert np.array_equal(getattr(first, name), getattr(other, name)), name
+        for name in ("vertices", "triangles", "colors"):
+            assert np.array_equal(getattr(first.mesh, name), getattr(other.mesh, name)), name
+
+
+def test_measured_outlines_move_the_boundaries(tmp_path: Path) -> None:
+    sample = read_scan(write_partial_sample(tmp_path / "scan", list(range(0, 24, 6))))
+    mesh = clean(fuse(sample, voxel_size=0.015).mesh).mesh
+    aligned, smoothed = (
+        refine(mesh, sample, fill_holes=0, has_matched_depth=matched).mesh for matched in (False, True)
+    )
+    assert np.array_equal(aligned.triangles, smoothed.triangles)
+    edges = build_edges(aligned.triangles, len(aligned.vertices))
+    is_rim = np.zeros(len(aligned.vertices), bool)
+    is_rim[edges.ends[edges.triangle_count == 1]] = True
+    moved = np.linalg.norm(aligned.vertices - smoothed.vertices, axis=1)
+    # Only neighbours of the boundary move, where triangles would fold.
+    assert (moved[~is_rim] > 0).mean() < 0.1
+    assert np.median(moved[is_rim]) > 0.001
 
 
 def test_strength_0_returns_the_input(fused: Mesh, scan: Scan) -> None:
