@@ -11,6 +11,8 @@ sys.path.insert(0, str(Path(__file__).parents[2] / "benches"))
 import run as bench
 from small_scans import write_small_scan
 
+from scanloom.stages.scans.model.threads import THREADS_VARIABLE
+
 
 def test_sizes_of_files_in_folders_are_summed(tmp_path: Path) -> None:
     (tmp_path / "maps").mkdir()
@@ -36,3 +38,25 @@ def test_all_stages_of_a_run_are_measured(tmp_path: Path) -> None:
     assert all(one["cpu_s"] > 0 and one["wall_s"] > 0 and one["peak_mb"] > 50 for one in costs.values())
     assert total["wall_s"] >= sum(one["wall_s"] for one in costs.values())
     assert total["bytes"] > sum(one["bytes"] for one in costs.values()), "the page and report.json are added"
+
+
+@pytest.mark.slow
+def test_a_profile_names_stages_and_functions(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(THREADS_VARIABLE, "2")  # restored afterwards
+    rows = bench.profile_run(write_small_scan(tmp_path / "scan"))
+    assert ("fuse", "Volume.integrate") in {(stage, name) for stage, name, _ in rows}
+    assert sum(share for *_, share in rows) == pytest.approx(1)
+    assert rows[0][2] == max(share for *_, share in rows)
+
+
+@pytest.mark.parametrize(
+    ("key", "name"),
+    [
+        (("~", 0, "<method 'integrate' of 'scanloom.stages._kernels.Volume' objects>"), "Volume.integrate"),
+        (("~", 0, "<built-in method scanloom.stages._kernels.match_descriptors>"), "match_descriptors"),
+        (("~", 0, "<imdecode>"), "imdecode"),
+        (("stages/adjusting/adjust.py", 12, "adjust"), "adjust.adjust"),
+    ],
+)
+def test_names_of_functions_are_short(key: tuple[str, int, str], name: str) -> None:
+    assert bench.name_function(*key) == name
