@@ -172,7 +172,9 @@ def estimate_photo_offset(
         return None
     together = _sum_profiles(profiles)
     nearer = np.quantile(inverse / usual - 1, _FAR_NEAR_QUANTILES)
-    best, is_clear = _estimate_unknowns(together, halves, float(nearer[1] - nearer[0]) / 2)
+    best, is_clear = _estimate_unknowns(
+        _OffsetScore(together), [_OffsetScore(half) for half in halves], float(nearer[1] - nearer[0]) / 2
+    )
     scale = observations[0].full_size[0] / width
     return PhotoOffset(
         shift_px=best[:2] * scale,
@@ -284,24 +286,72 @@ _LIMITS = np.array(
 )
 
 
-def _evaluate_offsets(
-    profiles: _GradientProfiles, candidates: NDArray[np.float64], blur: float
-) -> NDArray[np.float64]:
-    """Compute the mean gradient (n,) for candidate offsets (n, 5)."""
-    of_direction = profiles.counts.sum(axis=0)
-    weights = np.minimum(of_direction / max(_MIN_DIRECTION_RATIO * of_direction.max(), 1), 1)
-    means = _blur_profiles(profiles.gradient_sums, blur)
-    means *= (weights / np.maximum(of_direction, 1))[None, :, None]
-    nearness = profiles.nearness / np.maximum(profiles.counts.sum(axis=1), 1)
-    angles = (np.arange(_DIRECTION_BINS) + 0.5) * (2 * np.pi / _DIRECTION_BINS)
-    shifts = candidates[:, None, :2] + nearness[:, None] * candidates[:, None, 2:4]
-    off = shifts @ np.stack([np.cos(angles), np.sin(angles)]) + candidates[:, None, 4:] + _PROFILE_RADIUS_PX
-    off = off.clip(0, 2 * _PROFILE_RADIUS_PX - 1e-9)
-    low = off.astype(np.intp)
-    share = off - low
-    depths, rows = np.arange(_DEPTH_BINS)[:, None], np.arange(_DIRECTION_BINS)
-    found = (1 - share) * means[depths, rows, low] + share * means[depths, rows, low + 1]
-    return np.asarray(found.sum(axis=(1, 2)) / weights.sum())
+class _OffsetScore:
+    """Mean photo gradient at the silhouettes as a function of the offset."""
+
+    def __init__(self, profiles: _GradientProfiles) -> None:
+        of_direction = profiles.counts.sum(axis=0)
+        self._weights = np.minimum(of_direction / max(_MIN_DIRECTION_RATIO * of_direction.max(), 1), 1)
+        scales = (self._weights / np.maximum(of_direction, 1))[None, :, None]
+        self._means = {
+            blur: _blur_profiles(profiles.gradient_sums, blur) * scales
+            for blur in (_GRID_BLUR_PX, _REFINE_BLUR_PX)
+        }
+        self._nearness = profiles.nearness / np.maximum(profiles.counts.sum(axis=1), 1)
+        self._grid_maxima: dict[_Axes, NDArray[np.float64]] = {}
+
+    def evaluate(self, candidates: NDArray[np.float64], blur: float) -> NDArray[np.float64]:
+        """Compute the mean gradient (n,) for candidate offsets (n, 5)."""
+        means, nearness = self._means[blur], self._nearness
+        if not candidates[:, _NEAR_SHIFT].any():
+            # The offset is equal at all depths: one sixth of the work.
+            means, nearness = means.sum(axis=0, keepdims=True), np.zeros(1)
+        angles = (np.arange(_DIRECTION_BINS) + 0.5) * (2 * np.pi / _DIRECTION_BINS)
+        shifts = candidates[:, None, :2] + nearness[:, None] * candidates[:, None, 2:4]
+        off = shifts @ np.stack([np.cos(angles), np.sin(angles)])
+        off += candidates[:, None, 4:] + _PROFILE_RADIUS_PX
+        off = off.clip(0, 2 * _PROFILE_RADIUS_PX - 1e-9)
+        low = off.astype(np.intp)
+        share = off - low
+        depths, rows = np.arange(len(means))[:, None], np.arange(_DIRECTION_BINS)
+        found = (1 - share) * means[depths, rows, low] + share * means[depths, rows, low + 1]
+        return np.asarray(found.sum(axis=(1, 2)) / self._weights.sum())
+
+    def find_maximum(self, free: _Axes) -> NDArray[np.float64]:
+        """Find the offset (5,) with the largest gradient.
+
+        Parameters
+        ----------
+        free : indices of the unknowns to estimate; all others are 0.
+        """
+        # Grid search over the whole range: shift and thinning first, then the depth-dependent shift.
+        best = self._search_grid(np.zeros(5), tuple(axis for axis in free if axis not in _NEAR_SHIFT), 1.0)
+        best = self._search_grid(best, tuple(axis for axis in free if axis in _NEAR_SHIFT), 3.0)
+        axes = np.eye(5)[list(free)]
+        for step in _REFINE_STEPS_PX:
+            while True:
+                around = np.concatenate([best[None], best + step * axes, best - step * axes])
+                around = np.clip(around, -_LIMITS, _LIMITS)
+                found = np.argmax(self.evaluate(around, _REFINE_BLUR_PX))
+                if not found:
+                    break
+                best = around[found]
+        return np.asarray(best)
+
+    def _search_grid(self, start: NDArray[np.float64], axes: _Axes, step: float) -> NDArray[np.float64]:
+        """Find the best offset on a grid over some unknowns; the others are as in `start`."""
+        # Models with and without a depth-dependent shift begin with the same grid.
+        if not axes or (not start.any() and axes in self._grid_maxima):
+            return self._grid_maxima[axes] if axes else start
+        ranges = [
+            np.arange(-_LIMITS[axis], _LIMITS[axis] + 1, step) if axis in axes else start[axis : axis + 1]
+            for axis in range(5)
+        ]
+        grid = np.stack(np.meshgrid(*ranges, indexing="ij"), axis=-1).reshape(-1, 5)
+        best = grid[np.argmax(self.evaluate(grid, _GRID_BLUR_PX))]
+        if not start.any():
+            self._grid_maxima[axes] = best
+        return np.asarray(best)
 
 
 def _blur_profiles(profiles: NDArray[np.float64], sigma: float) -> NDArray[np.float64]:
@@ -320,55 +370,27 @@ def _blur_profiles(profiles: NDArray[np.float64], sigma: float) -> NDArray[np.fl
     return np.asarray(blurred)
 
 
-def _find_maximum(profiles: _GradientProfiles, free: Sequence[int]) -> NDArray[np.float64]:
-    """Find the offset (5,) with the largest gradient.
-
-    Parameters
-    ----------
-    free : indices of the unknowns to estimate; all others are 0.
-    """
-    best = np.zeros(5)
-    # Grid search over the whole range: shift and thinning first, then the depth-dependent shift.
-    for some, step in ((set(_SHIFT + _THINNING) & set(free), 1.0), (set(_NEAR_SHIFT) & set(free), 3.0)):
-        ranges = [
-            np.arange(-_LIMITS[axis], _LIMITS[axis] + 1, step) if axis in some else best[axis : axis + 1]
-            for axis in range(5)
-        ]
-        grid = np.stack(np.meshgrid(*ranges, indexing="ij"), axis=-1).reshape(-1, 5)
-        best = grid[np.argmax(_evaluate_offsets(profiles, grid, _GRID_BLUR_PX))]
-    axes = np.eye(5)[list(free)]
-    for step in _REFINE_STEPS_PX:
-        while True:
-            around = np.concatenate([best[None], best + step * axes, best - step * axes])
-            around = np.clip(around, -_LIMITS, _LIMITS)
-            found = np.argmax(_evaluate_offsets(profiles, around, _REFINE_BLUR_PX))
-            if not found:
-                break
-            best = around[found]
-    return np.asarray(best)
-
-
 def _estimate_unknowns(
-    combined: _GradientProfiles, halves: Sequence[_GradientProfiles], nearness_spread: float
+    combined: _OffsetScore, halves: Sequence[_OffsetScore], nearness_spread: float
 ) -> tuple[NDArray[np.float64], bool]:
     """Estimate the offset (5,), and check whether it is clear.
 
     Parameters
     ----------
-    combined : profiles of all frames.
-    halves : profiles of each half of the frames.
+    combined : score of all frames.
+    halves : score of each half of the frames.
     nearness_spread : half the difference in relative inverse depth between near and far silhouettes.
     """
     of_halves = {
-        free: [_find_maximum(half, free) for half in halves]
+        free: [half.find_maximum(free) for half in halves]
         for free in (_THINNING, _SHIFT + _THINNING, _SHIFT + _NEAR_SHIFT + _THINNING)
     }
     thin, shift, place = of_halves
 
     def has_gain(free: _Axes, without: _Axes) -> bool:
         return all(
-            _evaluate_offsets(half, one[None], _REFINE_BLUR_PX)
-            > _MIN_GRADIENT_GAIN * _evaluate_offsets(half, other[None], _REFINE_BLUR_PX)
+            half.evaluate(one[None], _REFINE_BLUR_PX)
+            > _MIN_GRADIENT_GAIN * half.evaluate(other[None], _REFINE_BLUR_PX)
             for half, one, other in zip(halves[::-1], of_halves[free], of_halves[without], strict=True)
         )
 
@@ -378,7 +400,7 @@ def _estimate_unknowns(
             _MAX_DIFFERENCE_PX, _MAX_DIFFERENCE_RATIO * size
         )
 
-    best = _find_maximum(combined, place)
+    best = combined.find_maximum(place)
     apart = float(np.hypot(*best[2:4])) * nearness_spread
     if (
         apart >= _MIN_OFFSET_PX
@@ -386,7 +408,7 @@ def _estimate_unknowns(
         and is_confirmed(place, _NEAR_SHIFT, nearness_spread, apart)
     ):
         return best, bool((np.abs(best) < _LIMITS)[:4].all())
-    best = _find_maximum(combined, shift)
+    best = combined.find_maximum(shift)
     size = float(np.hypot(*best[:2]))
     return best, bool(
         size >= max(_MIN_OFFSET_PX, abs(best[4]))

@@ -5,6 +5,7 @@ Files are untrusted: the size in a header is checked before a decoder allocates 
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 from typing import Any, cast
 
@@ -38,6 +39,8 @@ _HEADER_BYTES = 1 << 19
 # Offset of the colour type in a PNG, and its values for grey + alpha and RGB + alpha.
 _PNG_COLOR_TYPE_OFFSET = 25
 _PNG_ALPHA_TYPES = (b"\x04", b"\x06")
+# Formats of photos with EXIF metadata, as Pillow names them.
+_EXIF_FORMATS = ("JPEG", "PNG", "TIFF", "WEBP")
 
 
 def read_image_size(path: Path) -> tuple[int, int]:
@@ -224,6 +227,29 @@ def read_stored_image(path: Path) -> NDArray[Any]:
         If the file is missing or does not decode.
     """
     return _decode_stored(read_image_bytes(path), path)
+
+
+def read_exif_number(path: Path, folder: int, tag: int) -> float | None:
+    """Read a number of the EXIF metadata of a photo; None if it is missing or damaged.
+
+    Parameters
+    ----------
+    folder, tag : EXIF tags of the folder, and of the value in it.
+    """
+    from PIL import Image
+
+    try:
+        with warnings.catch_warnings(), open_input(path) as file:
+            warnings.simplefilter("ignore")
+            image = Image.open(file, formats=_EXIF_FORMATS)
+            if image.format == "PNG" and "exif" not in image.info:
+                # Pillow would decode the image to look for metadata behind it.
+                return None
+            return float(image.getexif().get_ifd(folder)[tag])
+    except MemoryError:
+        raise
+    except Exception:  # Damaged metadata raises any exception, and is no reason to reject a photo.
+        return None
 
 
 def read_image_bytes(path: Path) -> bytes:

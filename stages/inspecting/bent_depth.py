@@ -142,14 +142,24 @@ class _Comparison:
         -------
         Motion (6,) and the remaining distances (k,) in standard deviations.
         """
-        motion, distances = np.zeros(6), self.distances + self.by_bend @ coefficients
-        for number in range(_TUKEY_ITERATIONS):
-            scale = 1.0 if number else 2.0  # before the first alignment, distances are larger
-            weighted = self.by_motion * _weight((distances + self.by_motion @ motion) / scale)[:, None]
-            motion = -np.linalg.solve(
-                self.by_motion.T @ weighted + np.diag(_get_motion_precision()), weighted.T @ distances
-            )
-        return motion, distances + self.by_motion @ motion
+        return _align(self.distances + self.by_bend @ coefficients, self.by_motion)
+
+
+def _align(distances: Floats, by_motion: Floats) -> tuple[Floats, Floats]:
+    """Find the motion (6,) that minimises distances (k,); return it with the remaining distances.
+
+    Parameters
+    ----------
+    by_motion : (k, 6) derivatives of the distances.
+    """
+    motion = np.zeros(6)
+    for number in range(_TUKEY_ITERATIONS):
+        scale = 1.0 if number else 2.0  # before the first alignment, distances are larger
+        weighted = by_motion * _weight((distances + by_motion @ motion) / scale)[:, None]
+        motion = -np.linalg.solve(
+            by_motion.T @ weighted + np.diag(_get_motion_precision()), weighted.T @ distances
+        )
+    return motion, distances + by_motion @ motion
 
 
 def measure_bent_depth(frames: Sequence[Frame], noise: DepthNoise) -> BentDepth | None:
@@ -247,7 +257,7 @@ def _compare(
         points = _match_points(first, second, second_from_first, _ALIGNMENT_STRIDES)
         if len(points.depth) < _MIN_PATCHES:
             return None
-        motion, _ = points.linearise(correction, noise).align(np.zeros(COEFFICIENT_COUNT))
+        motion, _ = _align(*points.linearise_motion(noise))
         second_from_first = _make_motion(motion) @ second_from_first
     points = _match_points(first, second, second_from_first, _COMPARISON_STRIDES)
     side = max(first.camera.width // _PATCHES_PER_WIDTH, 1)
@@ -279,10 +289,29 @@ class _MatchedPoints:
     rays: Floats
     normals: Floats
 
+    @property
+    def measured(self) -> Floats:
+        """Points (n, 3) that the second frame measures, in axes of the second camera."""
+        return self.rays * self.second_depth[:, None]
+
+    def compute_sigmas(self, noise: DepthNoise) -> Floats:
+        """Return the standard deviations (n,) of the distances between both surfaces, metres."""
+        return np.asarray(np.sqrt(2) * (noise.constant + noise.quadratic * self.second_depth**2))
+
+    def linearise_motion(self, noise: DepthNoise) -> tuple[Floats, Floats]:
+        """Return the distances (n,) between both surfaces and their derivatives (n, 6) by motion.
+
+        Both are in standard deviations.
+        """
+        sigmas = self.compute_sigmas(noise)
+        by_motion = np.concatenate([np.cross(self.points, self.normals), self.normals], axis=1)
+        distances = (self.normals * (self.points - self.measured)).sum(axis=1)
+        return distances / sigmas, by_motion / sigmas[:, None]
+
     def linearise(self, correction: DepthCorrection, noise: DepthNoise) -> _Comparison:
         """Return the distances between both surfaces with their derivatives, one row per point."""
-        measured = self.rays * self.second_depth[:, None]
-        sigmas = np.sqrt(2) * (noise.constant + noise.quadratic * self.second_depth**2)
+        sigmas = self.compute_sigmas(noise)
+        distances, by_motion = self.linearise_motion(noise)
         pixels = (
             (self.columns, self.rows, self.depth),
             (self.second_columns, self.second_rows, self.second_depth),
@@ -290,13 +319,9 @@ class _MatchedPoints:
         bases = np.stack(
             [correction.compute_basis(*(axis.astype(np.float64) for axis in one)) for one in pixels]
         )
-        along = [(self.normals * one).sum(axis=1) for one in (self.rotated, measured)]
-        by_motion = np.concatenate([np.cross(self.points, self.normals), self.normals], axis=1)
+        along = [(self.normals * one).sum(axis=1) for one in (self.rotated, self.measured)]
         by_bend = along[0][:, None] * bases[0] - along[1][:, None] * bases[1]
-        distances = (self.normals * (self.points - measured)).sum(axis=1)
-        return _Comparison(
-            distances / sigmas, by_motion / sigmas[:, None], by_bend / sigmas[:, None], sigmas, bases
-        )
+        return _Comparison(distances, by_motion, by_bend / sigmas[:, None], sigmas, bases)
 
 
 def _match_points(

@@ -36,7 +36,7 @@ from scanloom.stages.registration.focal_length_from_marks import estimate_focal_
 from scanloom.stages.registration.moving_object import has_moving_object
 from scanloom.stages.scans.codes import POSE_INCONSISTENT_WITH_IMAGES, SCAN_FRAMES_SKIPPED
 from scanloom.stages.scans.model.images import read_color, read_depth, read_right
-from scanloom.stages.scans.model.prefetch import get_worker_count
+from scanloom.stages.scans.model.prefetch import get_worker_count, run_concurrently
 from scanloom.stages.scans.model.scan import ColorImage, DepthImage, Frame, Scan, StereoRig
 from scanloom.stages.scans.model.sharpness import find_least_sharp
 from scanloom.stages.scans.transforms.up_direction import find_up_direction
@@ -76,7 +76,7 @@ def _inspect(scan: Scan) -> Inspection:
     report_sizes(scan)
     depth, stereo_depth = None, None
     errors: dict[str, float] = {}
-    misfit, suspicion = None, None
+    misfit, suspicion, plan = None, None, None
     if scan.rig is not None and scan.rig.left.is_calibrated:
         stereo_depth = _compute_stereo_depth(scan.rig)
         consistency_checks.report_stereo_faults([(one.color, one.right) for one in samples], scan.rig)
@@ -97,14 +97,16 @@ def _inspect(scan: Scan) -> Inspection:
         suspicion = scale_suspicion or suspicion
         if suspicion is not None:
             emit(suspicion)
-        _report_unregistered(scan.frames)
-        misfit = _measure_misfit(scan.frames)
-        if path is not None and misfit is None and suspicion is None:
+        is_suspicious = suspicion is not None
+        has_plan = depth is not None and path is not None
+        # OpenCV works on photos without the GIL, while NumPy compares depth maps.
+        misfit, plan = run_concurrently(
+            lambda: _check_photos(scan.frames),
+            lambda: _check_depth_maps(scan, is_suspicious=is_suspicious) if has_plan else None,
+        )
+        if path is not None and misfit is None and not is_suspicious:
             consistency_checks.warn_inexact_poses(scan.frames)
     sharpness = _find_blurriest_frames(scan)
-    plan = _make_fusion_plan(scan) if depth is not None and path is not None else None
-    if plan is not None and suspicion is None:
-        warn_bent_depth(scan.frames, plan.noise)
     subject = None
     if depth is not None and path is None and len(scan.frames) > 1:
         subject = "object" if has_moving_object(scan.frames) else "scene"
@@ -158,6 +160,20 @@ def _read_sample(frame: Frame) -> _SampledFrame | InputError:
         return _SampledFrame(frame, read_color(frame), read_right(frame), read_depth(frame))
     except InputError as error:
         return error
+
+
+def _check_photos(frames: Sequence[Frame]) -> float | None:
+    """Check photos against depth and poses; return the median reprojection error, pixels."""
+    _report_unregistered(frames)
+    return _measure_misfit(frames)
+
+
+def _check_depth_maps(scan: Scan, *, is_suspicious: bool) -> FusionPlan | None:
+    """Plan the fusion, and compare overlapping depth maps unless poses are suspicious."""
+    plan = _make_fusion_plan(scan)
+    if plan is not None and not is_suspicious:
+        warn_bent_depth(scan.frames, plan.noise)
+    return plan
 
 
 def _measure_misfit(frames: Sequence[Frame]) -> float | None:

@@ -38,7 +38,7 @@ from scanloom.stages.surface.mesh import Mesh
 from scanloom.stages.surface.mesh_conversion import MeshLike, as_mesh
 from scanloom.stages.surface.small_components import find_small_components
 from scanloom.stages.surface.surface_color import compute_surface_colors, get_vertex_attributes, is_textured
-from scanloom.stages.surface.topology import require_measurable
+from scanloom.stages.surface.topology import require_area, require_measurable
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -159,6 +159,7 @@ def _build_hierarchy(mesh: Mesh, params: LodParams, progress: Progress) -> Hiera
     require_measurable(mesh, "mesh")
     if len(mesh.triangles) == 0:
         raise InputError(MESH_NO_SURFACE, "the mesh has no triangles; no levels can be built.")
+    require_area(mesh, "mesh")
     kept, islands = _drop_small_components(mesh, params.drop_islands)
     base, shape, color, progress = _build_base(_strip_attributes(kept), params, progress)
     hierarchy = _build_from_any(base, params, shape, progress)

@@ -49,6 +49,23 @@ the same number).
         "scan.first=103 with scan.last=103 uses a single frame."
     ),
 )
+REGISTER_OBJECT_UNMATCHED = Code(
+    "register.object-unmatched",
+    "Frames that do not match on the moving object",
+    """
+A warning, before the poses are estimated. An object moves in front of a static camera, but most frames have
+too few features or marks on it that also appear in neighbouring frames. Their poses then depend on the shape
+of the object alone: registration takes minutes, and often fails ([turntables](../capturing.md#turntables)).
+The warning names the frames, and the longest sequence that matches. Causes: a plain or shiny object, a hand
+that hides it, or steps of more than 20°.
+""",
+    (
+        "183 of 207 frames match no other frame on the moving object (000000 to 000121, 000146 to 000206): "
+        "only surfaces can give their poses, which may fail; scan.first=122 with scan.last=145 uses the "
+        "longest sequence that matches. Texture on the object, or printed paper below it, makes all frames "
+        "match."
+    ),
+)
 REGISTER_FRAMES_UNUSABLE = Code(
     "register.frames-unusable",
     "Frames that are black, over-exposed or empty",

@@ -7,15 +7,17 @@ final masks are computed in `object_segmentation`.
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Mapping, Sequence
+import itertools
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
+from scanloom.stages.diagnostics.collector import emit
 from scanloom.stages.diagnostics.errors import InputError, StageError
 from scanloom.stages.frames.sampling import sample_evenly
-from scanloom.stages.registration.codes import REGISTER_TURNING_OBJECT
+from scanloom.stages.registration.codes import REGISTER_OBJECT_UNMATCHED, REGISTER_TURNING_OBJECT
 from scanloom.stages.registration.features import Features
 from scanloom.stages.registration.frame_preview import FramePreview, read_preview, read_previews
 from scanloom.stages.registration.object_segmentation import segment_moving_object
@@ -37,6 +39,9 @@ from scanloom.stages.scans.model.scan import Frame, Pose
 _DECISION_FRAME_COUNT, _BACKGROUND_FRAME_COUNT = 7, 24
 # Minimum size of an object, as ratio of the image.
 _MIN_MASK_RATIO = 0.002
+# Ratio of frames without a match on the object above which a warning names them, and maximum number of
+# sequences of such frames in the warning.
+_MAX_UNMATCHED_RATIO, _MAX_NAMED_RUNS = 0.5, 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,7 +101,55 @@ def detect_moving_object(frames: Sequence[Frame], subject: str, where: Path | No
         masked[n] = frame
         if seen is not None:
             features[n] = seen
-    return MovingObject(masked, estimate_initial_poses(frames, features, previews, background))
+    poses = estimate_initial_poses(frames, features, previews, background)
+    _warn_unmatched(frames, sorted(features), poses)
+    return MovingObject(masked, poses)
+
+
+def _warn_unmatched(frames: Sequence[Frame], shown: Sequence[int], poses: Mapping[int, Pose]) -> None:
+    """Warn if few frames match others on the object.
+
+    Registration by surfaces takes minutes and often fails then, so the user is told before.
+
+    Parameters
+    ----------
+    shown : indices of the readable frames, in order.
+    poses : initial poses by frame index.
+    """
+    unmatched = [n for n in shown if n not in poses]
+    if len(unmatched) <= _MAX_UNMATCHED_RATIO * len(shown):
+        return
+    runs = list(_split_runs(shown, poses))
+    names = [
+        frames[run[0]].name + (f" to {frames[run[-1]].name}" if len(run) > 1 else "")
+        for run in runs
+        if run[0] not in poses
+    ]
+    longest = max((run for run in runs if run[0] in poses), key=len, default=[])
+    middle = shown[len(shown) // 2]
+    first, last = (longest[0], longest[-1]) if len(longest) > 1 else (middle, middle)
+    emit(
+        REGISTER_OBJECT_UNMATCHED.warning(
+            "{count} of {total} frames match no other frame on the moving object ({names}): only surfaces "
+            "can give their poses, which may fail",
+            remedy=(
+                "scan.first={first} with scan.last={last} uses "
+                + ("the longest sequence that matches" if len(longest) > 1 else "a single frame")
+                + ". Texture on the object, or printed paper below it, makes all frames match."
+            ),
+            count=len(unmatched),
+            total=len(shown),
+            names=", ".join(names[:_MAX_NAMED_RUNS]) + (" …" if len(names) > _MAX_NAMED_RUNS else ""),
+            first=first,
+            last=last,
+        )
+    )
+
+
+def _split_runs(shown: Sequence[int], poses: Mapping[int, Pose]) -> Iterator[list[int]]:
+    """Split frame indices into runs of frames that all have poses, or all have none."""
+    for _, run in itertools.groupby(shown, key=lambda n: n in poses):
+        yield list(run)
 
 
 def has_moving_object(frames: Sequence[Frame]) -> bool:

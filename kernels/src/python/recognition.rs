@@ -32,7 +32,7 @@ pub fn match_descriptors(
     if max_distance_ratio.is_nan() || max_distance_ratio <= 0.0 {
         return Err(PyValueError::new_err("max_distance_ratio must be more than 0"));
     }
-    // Per descriptor: bytes, RootSIFT values and the best match, 2.5 rows of 192 bytes.
+    // Per descriptor: bytes, RootSIFT values and the best match in each lane, 3 rows of 192 bytes.
     let rows = source.as_array().nrows().saturating_add(target.as_array().nrows()).saturating_mul(3);
     with_memory_reserve(rows, || {
         let (source, target) = (descriptors(&source)?, descriptors(&target)?);

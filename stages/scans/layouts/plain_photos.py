@@ -15,7 +15,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from scanloom.stages.diagnostics.errors import InputError
-from scanloom.stages.files.images import read_image_size
+from scanloom.stages.files.images import read_exif_number, read_image_size
 from scanloom.stages.scans.advice import describe_streams
 from scanloom.stages.scans.calibration.camera_resolution import get_stated_camera
 from scanloom.stages.scans.calibration.discovery import list_trajectory_candidates
@@ -122,14 +122,8 @@ def _choose_camera(file: Path, stated: Camera | None) -> Camera:
 
 def _read_exif_focal(file: Path, width: int, height: int) -> float | None:
     """Return the focal length in pixels from EXIF's equivalent for 35 mm film, or None."""
-    from PIL import Image
-
-    try:
-        with Image.open(file) as image:
-            equivalent = float(image.getexif().get_ifd(_EXIF_FOLDER).get(_FOCAL_35MM, 0))
-    except Exception:  # Damaged metadata raises any exception, and is no reason to reject a photo.
-        return None
-    if not 5 <= equivalent <= 1000:
+    equivalent = read_exif_number(file, _EXIF_FOLDER, _FOCAL_35MM)
+    if equivalent is None or not 5 <= equivalent <= 1000:
         return None
     return equivalent / _FILM_DIAGONAL_MM * math.hypot(width, height)
 

@@ -67,7 +67,7 @@ def run_concurrently(background: Callable[[], R], foreground: Callable[[], S]) -
     """Run one function in a thread while the caller runs the other.
 
     Returns both results. An exception of `background` is raised after `foreground` has finished. If only one
-    thread may be used, the functions run one after the other.
+    thread may be used, the functions run one after the other. Diagnostics of `background` are emitted first.
     """
     if get_thread_count() == 1:
         return background(), foreground()
@@ -79,7 +79,8 @@ def run_concurrently(background: Callable[[], R], foreground: Callable[[], S]) -
 
     with ThreadPoolExecutor(1, thread_name_prefix="beside") as pool:
         future = pool.submit(run_and_collect)
-        other = foreground()
+        with collecting(forward=False) as foreground_diagnostics:
+            other = foreground()
         one, diagnostics = future.result()
-    emit(*diagnostics)
+    emit(*diagnostics, *foreground_diagnostics)
     return one, other

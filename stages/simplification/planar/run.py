@@ -24,6 +24,7 @@ from scanloom.stages.surface.mesh import Mesh
 from scanloom.stages.surface.mesh_conversion import MeshLike, as_mesh
 from scanloom.stages.surface.raycasting import compute_bounding_box
 from scanloom.stages.surface.sheet_decomposition import Sheets
+from scanloom.stages.surface.topology import require_measurable
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -72,12 +73,13 @@ def planar_patches(
     Raises
     ------
     MeshError
-        For an index out of range or a value that is not finite.
+        For an index out of range, a value that is not finite, or coordinates that are too large.
     UsageError
         For a parameter out of range, or a colour bound on a mesh without colours.
     """
     params = resolve(PatchParams, params, dict(changes))
     mesh = as_mesh(mesh)
+    require_measurable(mesh, "mesh")
     kernel_arrays = make_kernel_input(mesh)
     cosines, bounds, threads = (
         _compute_cosines(params),

@@ -13,8 +13,11 @@ from scipy.ndimage import gaussian_filter1d
 
 from scanloom import Frame, adjust, inspect, read_scan
 from scanloom.stages.adjusting.silhouette_offset import (
+    _REFINE_BLUR_PX,
     PhotoOffset,
     _blur_profiles,
+    _GradientProfiles,
+    _OffsetScore,
     estimate_photo_offset,
     observe_silhouettes,
 )
@@ -184,3 +187,19 @@ def test_the_offset_of_a_real_colour_camera_is_found(shared_data):
 def test_profiles_are_blurred_as_by_scipy(sigma: float) -> None:
     profiles = np.random.default_rng(2).uniform(0, 50, (2, 3, 31))
     np.testing.assert_array_equal(_blur_profiles(profiles, sigma), gaussian_filter1d(profiles, sigma, axis=2))
+
+
+def test_an_offset_without_depth_dependence_is_summed_over_depth() -> None:
+    """The short sum over all depths equals the sum of each depth."""
+    random = np.random.default_rng(3)
+    score = _OffsetScore(
+        _GradientProfiles(
+            random.uniform(0, 50, (6, 64, 31)), random.uniform(1, 9, (6, 64)), random.uniform(-1, 1, 6)
+        )
+    )
+    offsets = np.zeros((40, 5))
+    offsets[:, [0, 1, 4]] = random.uniform(-4, 4, (40, 3))
+    each_depth = offsets + np.array([0, 0, 1e-12, 0, 0])
+    np.testing.assert_allclose(
+        score.evaluate(offsets, _REFINE_BLUR_PX), score.evaluate(each_depth, _REFINE_BLUR_PX), rtol=1e-9
+    )

@@ -13,10 +13,12 @@ from scipy.spatial.transform import Rotation
 
 from scanloom.pipeline.config import Config
 from scanloom.pipeline.run.run import run
+from scanloom.stages.diagnostics.collector import collecting
 from scanloom.stages.diagnostics.errors import InputError, StageError
 from scanloom.stages.fusion.fuse import fuse
 from scanloom.stages.inspecting.inspect import inspect
-from scanloom.stages.registration.moving_object import has_moving_object
+from scanloom.stages.registration.codes import REGISTER_OBJECT_UNMATCHED
+from scanloom.stages.registration.moving_object import _warn_unmatched, has_moving_object
 from scanloom.stages.registration.plate_motion import Plate, drop_static_marks, estimate_plate_motion
 from scanloom.stages.registration.register import register
 from scanloom.stages.registration.registration_result import Registration
@@ -73,6 +75,7 @@ def test_a_turning_object_is_registered_without_its_background() -> None:
     found = register(frames)
     assert found.subject == "object"
     assert found.to_dict()["subject"] == "object"
+    assert REGISTER_OBJECT_UNMATCHED.name not in {one.code for one in found.diagnostics}
     assert [len(piece) for piece in found.pieces] == [len(angles)]
     turns, shifts = compute_errors(found, angles)
     assert max(turns) < 1.2
@@ -216,3 +219,30 @@ def test_static_marks_are_not_on_the_plate() -> None:
 def test_a_component_of_one_frame_needs_no_mask() -> None:
     with pytest.raises(InputError, match="1 of 1 frames can be used"):
         register(turntable_object.frames([0.0]))
+
+
+def test_a_plain_object_is_reported_before_its_registration_fails() -> None:
+    """The warning comes before the first progress, because registration takes minutes."""
+    events: list[str] = []
+    with collecting() as diagnostics, pytest.raises(StageError, match="poses cannot be estimated"):
+        register(
+            turntable_object.frames([5.0 * k for k in range(12)], texture=0),
+            progress=lambda *_: events.append(",".join(one.code for one in diagnostics)),
+        )
+    assert events[0] == REGISTER_OBJECT_UNMATCHED.name
+    assert "12 of 12 frames match no other frame on the moving object (000 to 011)" in str(diagnostics[0])
+    assert "scan.first=6 with scan.last=6 uses a single frame" in str(diagnostics[0])
+
+
+def test_frames_that_do_not_match_are_named_with_the_longest_sequence_that_does() -> None:
+    frames = [Frame(f"{n:04}", turntable_object.CAMERA) for n in range(20)]
+    matched = {n: np.eye(4) for n in (2, 3, 9, 10, 11, 15)}
+    with collecting() as diagnostics:
+        _warn_unmatched(frames, range(20), matched)
+    (warning,) = map(str, diagnostics)
+    assert "14 of 20 frames match no other frame" in warning
+    assert "(0000 to 0001, 0004 to 0008, 0012 to 0014 …)" in warning
+    assert "scan.first=9 with scan.last=11 uses the longest sequence that matches" in warning
+    with collecting() as diagnostics:
+        _warn_unmatched(frames, range(20), dict.fromkeys(range(10), np.eye(4)))
+    assert not diagnostics

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
+from unittest.mock import patch
 
 import numpy as np
 import pytest
 from PIL import Image
+from PIL.DdsImagePlugin import DdsImageFile
+from PIL.PngImagePlugin import PngImageFile
 
 from scanloom.stages.diagnostics.errors import InputError, UsageError
+from scanloom.stages.files.images import read_exif_number
 from scanloom.stages.scans.model.images import read_mask
 from scanloom.stages.scans.params import ScanParams
 from scanloom.stages.scans.reader import detect_layout, read_scan
@@ -59,6 +63,28 @@ def test_the_focal_length_comes_from_exif_or_from_the_user(tmp_path: Path) -> No
 def test_implausible_exif_is_ignored(tmp_path: Path, focal: int) -> None:
     write_photos(tmp_path, focal_35mm=focal)
     assert read_scan(tmp_path, complete=False).frames[0].camera.is_guess
+
+
+@pytest.mark.parametrize("suffix", [".jpg", ".png", ".webp"])
+def test_exif_is_read_from_each_format_of_photos(tmp_path: Path, suffix: str) -> None:
+    exif = Image.Exif()
+    exif[0x8769] = {0xA405: 28}
+    Image.new("RGB", (36, 24)).save(tmp_path / f"a{suffix}", exif=exif)
+    assert read_exif_number(tmp_path / f"a{suffix}", 0x8769, 0xA405) == 28
+
+
+def test_exif_is_read_without_decoding_the_image(tmp_path: Path) -> None:
+    """Pillow decodes a PNG without EXIF in front of its pixels, and chooses a decoder by content."""
+    path = tmp_path / "a.png"
+    Image.new("RGB", (36, 24)).save(path)
+    with patch.object(PngImageFile, "load") as load:
+        assert read_exif_number(path, 0x8769, 0xA405) is None
+    load.assert_not_called()
+    # DDS is a format that no reader supports, and whose header Pillow would parse.
+    Image.new("RGB", (36, 24)).save(path, "DDS")
+    with patch.object(DdsImageFile, "_open") as open_dds:
+        assert read_exif_number(path, 0x8769, 0xA405) is None
+    open_dds.assert_not_called()
 
 
 def test_transparent_pixels_are_masked(tmp_path: Path) -> None:

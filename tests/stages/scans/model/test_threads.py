@@ -10,6 +10,8 @@ from itertools import islice
 
 import pytest
 
+from scanloom.stages.diagnostics.collector import collecting, emit
+from scanloom.stages.scans.codes import SCAN_FRAMES_SKIPPED
 from scanloom.stages.scans.model.prefetch import get_worker_count, map_ordered, run_concurrently
 from scanloom.stages.scans.model.threads import THREADS_VARIABLE, build_thread_environment, get_thread_count
 
@@ -65,6 +67,19 @@ def test_with_one_thread_nothing_runs_concurrently(monkeypatch: pytest.MonkeyPat
     monkeypatch.setenv(THREADS_VARIABLE, said)
     beside, here = run_concurrently(threading.get_ident, threading.get_ident)
     assert (beside != here) is others
+
+
+@pytest.mark.parametrize("threads", ["1", "2"])
+def test_diagnostics_of_both_have_the_same_order_for_any_thread_count(
+    monkeypatch: pytest.MonkeyPatch, threads: str
+) -> None:
+    def warn(name: str) -> None:
+        emit(SCAN_FRAMES_SKIPPED.warning("a sampled frame cannot be used: {reason}", reason=name))
+
+    monkeypatch.setenv(THREADS_VARIABLE, threads)
+    with collecting() as diagnostics:
+        run_concurrently(lambda: warn("background"), lambda: warn("foreground"))
+    assert [one.values["reason"] for one in diagnostics] == ["background", "foreground"]
 
 
 @pytest.mark.parametrize(("threads", "others"), [(1, False), (2, True)])
