@@ -436,6 +436,7 @@ class StructureKeywords(TypedDict, total=False):
     """Fields of `StructureParams`."""
 
     max_megapixels: float
+    max_frames: int
 
 
 class TextureKeywords(TypedDict, total=False):

@@ -13,7 +13,8 @@ from scanloom.stages.scans.image_folders.image_files import (
     list_images,
 )
 
-_VIDEOS = (".mp4", ".mov", ".m4v", ".avi", ".webm", ".mpg", ".mpeg", ".wmv")
+# Videos that are not read; see `VIDEO_SUFFIXES` for the others.
+_VIDEOS = (".ts", ".mts", ".m2ts", ".flv", ".ogv", ".insv", ".hevc", ".h264", ".h265")
 _ARCHIVES = (".zip", ".tar", ".tgz", ".gz", ".bz2", ".xz", ".7z", ".rar", ".zst")
 _MESHES = (".glb", ".gltf", ".ply", ".obj", ".off", ".stl", ".fbx", ".usdz", ".usd", ".dae", ".3ds")
 _CLOUDS = (".las", ".laz", ".e57", ".pcd", ".pts", ".xyz")
@@ -35,11 +36,9 @@ def describe_file(path: Path, *, is_scan_folder: bool) -> str:
     if is_scan_folder:
         return f"this is a file, not a scan folder. Its folder is a scan: give {folder}."
     if suffix in _VIDEOS:
-        photos = f"{path.stem}/images"
         return (
-            "this is a file, not a scan folder: a video. Create the folder "
-            f"{photos}/, extract frames into it, such as with `ffmpeg -i {name} -vf fps=2 "
-            f"{_quote(photos)}/%05d.jpg`, and give {path.stem}: the stage structure estimates their poses."
+            "this is a file, not a scan folder: a video whose format is not supported. To use it, "
+            + describe_frame_extraction(path)
         )
     if suffix in _ARCHIVES:
         target = _quote(path.name.removesuffix(path.suffix))
@@ -67,6 +66,15 @@ def describe_file(path: Path, *, is_scan_folder: bool) -> str:
     return (
         "this is a file, not a scan folder. Give the folder with the images, or a recording (.bag, .db3, "
         ".mcap, .sens, .r3d)."
+    )
+
+
+def describe_frame_extraction(video: Path) -> str:
+    """Describe the extraction of photos from a video with FFmpeg."""
+    photos = f"{video.stem}/images"
+    return (
+        f"create the folder {photos}/, extract frames into it, such as with `ffmpeg -i {_quote(video.name)} "
+        f"-vf fps=2 -q:v 2 {_quote(photos)}/%05d.jpg`, and give {video.stem}."
     )
 
 

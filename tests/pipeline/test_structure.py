@@ -109,3 +109,29 @@ def test_unrelated_photos_end_with_exit_code_3(tmp_path: Path, capsys) -> None:
     assert "no two of the 3 photos have enough features in common" in said
     with pytest.raises(InputError):
         run(tmp_path / "scan", tmp_path / "out")
+
+
+@pytest.mark.slow
+def test_a_video_becomes_cameras_and_depth(photos: Path, tmp_path: Path) -> None:
+    writer = cv2.VideoWriter(
+        str(tmp_path / "walk.avi"), cv2.CAP_FFMPEG, cv2.VideoWriter.fourcc(*"MJPG"), 10, (320, 240)
+    )
+    for file in sorted(photos.iterdir()):
+        writer.write(cv2.imread(str(file)))
+    writer.release()
+    result = run(tmp_path / "walk.avi", tmp_path / "out", Config().set(QUICK), until="fuse")
+    assert [stage.stage for stage in result.stages] == ["structure", "depth", "fuse"]
+    assert result.report["stages"]["structure"]["metrics"]["photos"] == 8
+    assert sorted(path.name for path in (tmp_path / "out" / "frames").iterdir()) == [
+        f"{number:06d}.jpg" for number in range(8)
+    ]
+    (tmp_path / "workspace").mkdir()
+    for name, target in (("images", "frames"), ("sparse", "sparse")):
+        (tmp_path / "workspace" / name).symlink_to(tmp_path / "out" / target)
+    assert len(read_scan(tmp_path / "workspace").frames) == 8
+    assert len(read_ply(tmp_path / "out" / "fused.ply").vertices) > 500
+    moved = tmp_path / "moved" / "walk.avi"
+    moved.parent.mkdir()
+    (tmp_path / "walk.avi").rename(moved)
+    again = run(moved, tmp_path / "out", Config().set(QUICK), until="fuse")
+    assert all(one.cached for one in again.stages)

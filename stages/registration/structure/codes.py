@@ -42,3 +42,13 @@ photos between the groups ([how](#photos-that-do-not-connect)), or give each sce
 """,
     "3 of 24 photos have too few features in common with the others and are not used: 0007, 0012, 0013",
 )
+STRUCTURE_VIDEO_TOO_FAST = Code(
+    "structure.video-too-fast",
+    "Videos with too much motion for the number of frames",
+    """
+A warning. A video is reduced to `structure.max_frames` frames, so neighbouring frames of a long video may
+not overlap. Increase the number, which takes longer, or process parts of the video (`scan.first`,
+`scan.last`).
+""",
+    "walk.mp4: the camera moves far for 120 frames, so neighbouring frames may not overlap",
+)

@@ -240,14 +240,18 @@ def _detect_features(
 def _make_image_names(frames: Sequence[Frame], folder: Path | None) -> list[str]:
     """Return unique image names.
 
-    These are paths relative to the scan folder, so that other programs find the images.
+    These are paths relative to the scan folder, or names of files in another folder, so that other programs
+    find the images.
     """
-    names = [
-        frame.color.relative_to(folder).as_posix()
-        if isinstance(frame.color, Path) and folder is not None and frame.color.is_relative_to(folder)
-        else frame.name
-        for frame in frames
-    ]
+
+    def make_name(frame: Frame) -> str:
+        if not isinstance(frame.color, Path):
+            return frame.name
+        if folder is None or not frame.color.is_relative_to(folder):
+            return frame.color.name
+        return frame.color.relative_to(folder).as_posix()
+
+    names = [make_name(frame) for frame in frames]
     return names if len(set(names)) == len(names) else [f"{index:06d}" for index in range(len(names))]
 
 

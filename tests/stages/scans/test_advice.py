@@ -62,12 +62,14 @@ def test_photos_without_poses_become_a_scan_by_colmap(tmp_path: Path, tiny, fold
     assert [frame.name for frame in read_scan(tmp_path).frames] == ["a", "b"]
 
 
-def test_a_video_becomes_a_scan(tmp_path: Path, tiny, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_video_of_an_unsupported_format_becomes_a_scan(
+    tmp_path: Path, tiny, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "room.mp4").write_bytes(b"\0\0\0\x18ftypmp42")
-    (extract,) = commands(refusal(Path("room.mp4")))
+    (tmp_path / "room.mts").write_bytes(b"G@\x11\x10")
+    (extract,) = commands(refusal(Path("room.mts")))
     words = shlex.split(extract)
-    assert words[:3] == ["ffmpeg", "-i", "room.mp4"]
+    assert words[:3] == ["ffmpeg", "-i", "room.mts"]
     for number in (1, 2, 3):
         tiny.color(Path(words[-1].replace("%05d.jpg", f"{number:05}.png")))
     scan = read_scan(Path("room"), complete=False)
