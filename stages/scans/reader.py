@@ -16,7 +16,12 @@ from scanloom.stages.diagnostics.errors import InputError, UsageError
 from scanloom.stages.files.blas_memory import reserve_blas_buffers
 from scanloom.stages.files.codes import FILE_PATH_INVALID, FILE_UNREADABLE
 from scanloom.stages.files.file_access_log import record_opened_files
-from scanloom.stages.scans.advice import describe_file, describe_photos, describe_streams
+from scanloom.stages.scans.advice import (
+    describe_file,
+    describe_photos,
+    describe_streams,
+    describe_unreadable_photos,
+)
 from scanloom.stages.scans.codes import (
     FRAME_IMAGE_MISSING,
     FRAME_POSE_MISSING,
@@ -353,6 +358,8 @@ def _describe_unknown_folder(folder: Path) -> str:
         others = ", ".join(f"{name}/" for name, _ in inside[1:])
         also = f", and so do {others}" if others else ""
         return f"this is no scan, but its folder {child}/ looks like one ({layout}){also}; give that folder."
+    if (unreadable := describe_unreadable_photos(folder)) is not None:
+        return unreadable
     if (streams := describe_streams(folder)) is not None:
         return streams
     if (photos := find_photo_folder(folder)) is not None:

@@ -38,7 +38,8 @@ STRUCTURE_PHOTOS_LEFT_OUT = Code(
     """
 A warning. The photos that connect to the largest group are used; the message names the others. Some of them
 may form other groups: parts of the scene without a connection to the largest, or another scene. Take more
-photos between the groups ([how](#photos-that-do-not-connect)), or give each scene a separate folder.
+photos between the groups ([how](#photos-that-do-not-connect)), or give each scene a separate folder. The
+message names consecutive photos of which only one is used.
 """,
     "3 of 24 photos have too few features in common with the others and are not used: 0007, 0012, 0013",
 )

@@ -62,6 +62,7 @@ def verify_matches(
     photos: Sequence[PhotoFeatures],
     matches: Iterable[tuple[tuple[int, int], NDArray[np.int64]]],
     max_pixels: float,
+    min_inlier_ratio: float,
 ) -> VerifiedPairs:
     """Keep the pairs of photos whose matches agree with one camera motion.
 
@@ -70,6 +71,7 @@ def verify_matches(
     photos : photos with features.
     matches : pairs of photos with their matches.
     max_pixels : number of pixels to which larger photos were downscaled.
+    min_inlier_ratio : minimum ratio of the matches that agree.
 
     Returns
     -------
@@ -96,7 +98,8 @@ def verify_matches(
             found.astype(np.uint32),
             options,
         )
-        return (first, second, geometry) if len(geometry.inlier_matches) >= _MIN_INLIERS else None
+        min_inliers = max(_MIN_INLIERS, min_inlier_ratio * len(found))
+        return (first, second, geometry) if len(geometry.inlier_matches) >= min_inliers else None
 
     # Each estimate seeds the random numbers of its own thread.
     threads = get_worker_count()

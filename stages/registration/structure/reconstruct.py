@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -42,11 +43,15 @@ if TYPE_CHECKING:
 
     from scanloom.stages.params.keywords import StructureKeywords
 
-RESULT_VERSION = 1
+RESULT_VERSION = 2
 
 _MIN_PHOTOS = 3
+# Progress per photo: features, selection of pairs, matches, mapping.
+_STEPS = 4
 # Maximum number of photos and groups that a message names.
 _MAX_NAMES, _MAX_GROUPS = 12, 4
+# Photos with fewer features hardly connect.
+_MIN_FEATURES = 200
 _ADVICE = (
     "Take photos that overlap by two thirds, of surfaces with texture, from positions that differ by at most "
     "20° as seen from the scene."
@@ -134,8 +139,9 @@ def reconstruct_cameras(
 
     SIFT features are matched between photos, and the cameras are estimated incrementally, with bundle
     adjustment. All pairs of up to 25 photos are matched, of more photos the 24 most similar partners of each.
-    Photos with the same camera (size and start value of the intrinsics) share its refined focal length and
-    distortion; the principal point is the centre. Existing poses are ignored.
+    If less than 90 % of the photos connect, features with affine shapes are tried, too. Photos with the same
+    camera (size and start value of the intrinsics) share its refined focal length and distortion; the
+    principal point is the centre. Existing poses are ignored.
 
     Equal photos give bit-identical results on one machine, for any number of threads. Other processors may
     round differently, because pycolmap uses other instructions there.
@@ -145,7 +151,7 @@ def reconstruct_cameras(
     scan : photos with a camera as start value; `Camera.is_guess` marks a focal length without evidence.
     params : StructureParams; single fields can be passed by name instead.
     progress : called with the number of finished steps and of all steps: per photo one for features, two for
-        matches and one for mapping.
+        matches and one for mapping; twice as many if features with affine shapes are tried.
 
     Returns
     -------
@@ -170,12 +176,53 @@ def reconstruct_cameras(
     return replace(found, diagnostics=tuple(diagnostics), seconds=time.perf_counter() - began)
 
 
+@dataclass(frozen=True)
+class _MatchingMethod:
+    """Features, and the requirements of their matches.
+
+    Attributes
+    ----------
+    has_affine_shapes : see `detect_photo_features`.
+    max_ratio : maximum ratio of the distances of the best and the second-best match.
+    min_inlier_ratio : minimum ratio of the matches of a pair that agree with one camera motion.
+    """
+
+    has_affine_shapes: bool
+    max_ratio: float
+    min_inlier_ratio: float
+
+
+# The second method connects photos from more different directions. It is slower, and its matches have more
+# outliers: fewer than a quarter of inliers may agree by chance.
+_METHODS = (
+    _MatchingMethod(has_affine_shapes=False, max_ratio=0.8, min_inlier_ratio=0.0),
+    _MatchingMethod(has_affine_shapes=True, max_ratio=0.9, min_inlier_ratio=0.25),
+)
+# Ratio of the photos in the largest group at which the second method is not tried.
+_CONNECTED_RATIO = 0.9
+
+
+@dataclass(frozen=True, eq=False)
+class _Attempt:
+    """Models of photos by one method."""
+
+    features: Sequence[PhotoFeatures]
+    candidate_pairs: int
+    pairs: VerifiedPairs
+    models: Sequence[ColmapModel]
+
+    @property
+    def photo_count(self) -> int:
+        """Number of photos in the largest model."""
+        return self.models[0].num_reg_images() if self.models else 0
+
+
 def _reconstruct(scan: Scan | Sequence[Frame], params: StructureParams, progress: Progress) -> Structure:
     frames = list(scan.frames if isinstance(scan, Scan) else scan)
     folder = scan.folder if isinstance(scan, Scan) else None
-    total = 4 * len(frames)
     max_pixels = 1e6 * params.max_megapixels
-    photos, skipped = _detect_features(frames, max_pixels, lambda done: progress(done, total))
+    total = _STEPS * len(frames)
+    photos, skipped = _detect_features(frames, max_pixels, _METHODS[0], lambda done: progress(done, total))
     usable = [index for index, photo in enumerate(photos) if photo is not None]
     if len(usable) < _MIN_PHOTOS:
         raise InputError(
@@ -187,43 +234,74 @@ def _reconstruct(scan: Scan | Sequence[Frame], params: StructureParams, progress
             reason=f" ({skipped[0].name}: {skipped[0].reason})" if skipped else "",
             minimum=_MIN_PHOTOS,
         )
+    names = [frames[index].name for index in usable]
+    files = _make_image_names(frames, folder)
+    images = [(index + 1, files[index]) for index in usable]
     features = [photo for photo in photos if photo is not None]
-    done = len(frames)
-    candidates = select_candidate_pairs(features, lambda row, _: progress(done + row, total))
+    best = _attempt(features, images, _METHODS[0], max_pixels, len(frames), progress)
+    if best.photo_count < _CONNECTED_RATIO * len(usable):
+
+        def report(done: int, total: int) -> object:
+            return progress(total + done, 2 * total)
+
+        again, _ = _detect_features(
+            [frames[index] for index in usable], max_pixels, _METHODS[1], lambda done: report(done, total)
+        )
+        features = [photo for photo in again if photo is not None]
+        if len(features) == len(usable):
+            second = _attempt(features, images, _METHODS[1], max_pixels, len(frames), report)
+            best = max(best, second, key=lambda one: (one.photo_count, len(one.pairs)))
+    if not best.models:
+        raise _make_not_connected_error(names, best.pairs, folder, _describe_weak_photos(best.features))
+    structure = _make_structure(frames, usable, best, tuple(skipped))
+    _warn_left_out(structure, names)
+    return structure
+
+
+def _attempt(
+    features: Sequence[PhotoFeatures],
+    images: Sequence[tuple[int, str]],
+    method: _MatchingMethod,
+    max_pixels: float,
+    photo_count: int,
+    progress: Progress,
+) -> _Attempt:
+    """Match photos, and compute models.
+
+    Parameters
+    ----------
+    images : ID and unique name of the image of each photo.
+    photo_count : number of photos, including those that cannot be read; unit of the progress.
+    """
+    total = _STEPS * photo_count
+    candidates = select_candidate_pairs(features, lambda row, _: progress(photo_count + row, total))
 
     def iterate_matches() -> Iterator[tuple[tuple[int, int], NDArray[np.int64]]]:
-        for number, one in enumerate(match_photos(features, candidates)):
+        for number, one in enumerate(match_photos(features, candidates, method.max_ratio)):
             yield one
-            progress(2 * len(frames) + len(frames) * (number + 1) // len(candidates), total)
+            progress(2 * photo_count + photo_count * (number + 1) // len(candidates), total)
 
-    pairs = verify_matches(features, iterate_matches(), max_pixels)
-    names = [frames[index].name for index in usable]
+    pairs = verify_matches(features, iterate_matches(), max_pixels, method.min_inlier_ratio)
     mapped = 0
 
     def report_photo() -> None:
         nonlocal mapped
         mapped += 1
-        progress(min(3 * len(frames) + mapped, total), total)
+        progress(min(3 * photo_count + mapped, total), total)
 
-    files = _make_image_names(frames, folder)
-    images = [(index + 1, files[index]) for index in usable]
     models = map_photos(features, images, pairs, max_pixels, report_photo) if pairs else []
     progress(total, total)
-    if not models:
-        raise _make_not_connected_error(names, pairs, folder)
-    structure = _make_structure(frames, usable, features, models, tuple(skipped), len(candidates), len(pairs))
-    _warn_left_out(structure, len(usable))
-    return structure
+    return _Attempt(features, len(candidates), pairs, models)
 
 
 def _detect_features(
-    frames: Sequence[Frame], max_pixels: float, report: Callable[[int], object]
+    frames: Sequence[Frame], max_pixels: float, method: _MatchingMethod, report: Callable[[int], object]
 ) -> tuple[list[PhotoFeatures | None], list[SkippedFrame]]:
     skipped: list[SkippedFrame] = []
 
     def detect(frame: Frame) -> PhotoFeatures | SkippedFrame:
         try:
-            return detect_photo_features(frame, max_pixels)
+            return detect_photo_features(frame, max_pixels, has_affine_shapes=method.has_affine_shapes)
         except InputError as error:
             return SkippedFrame(frame.name, error.diagnostic)
 
@@ -258,22 +336,19 @@ def _make_image_names(frames: Sequence[Frame], folder: Path | None) -> list[str]
 def _make_structure(
     frames: Sequence[Frame],
     usable: Sequence[int],
-    features: Sequence[PhotoFeatures],
-    models: Sequence[ColmapModel],
+    attempt: _Attempt,
     skipped: tuple[SkippedFrame, ...],
-    candidate_pairs: int,
-    verified_pairs: int,
 ) -> Structure:
-    largest = models[0]
+    largest = attempt.models[0]
     indices = sorted(image_id - 1 for image_id in largest.reg_image_ids())
     posed = set(indices)
     others = []
-    for model in models[1:]:
+    for model in attempt.models[1:]:
         group = sorted({image_id - 1 for image_id in model.reg_image_ids()} - posed)
         posed |= set(group)
         if group:
             others.append(tuple(frames[index].name for index in group))
-    points, colors, observed = _collect_points(largest, dict(zip(usable, features, strict=True)))
+    points, colors, observed = _collect_points(largest, dict(zip(usable, attempt.features, strict=True)))
     return Structure(
         frames=tuple(
             _pose_frame(frames[index], largest, index + 1, points[observed.get(index + 1, [])])
@@ -285,8 +360,8 @@ def _make_structure(
         skipped=skipped,
         points=points,
         colors=colors,
-        candidate_pairs=candidate_pairs,
-        verified_pairs=verified_pairs,
+        candidate_pairs=attempt.candidate_pairs,
+        verified_pairs=len(attempt.pairs),
         reprojection_error_px=float(largest.compute_mean_reprojection_error()),
         model=largest,
     )
@@ -328,7 +403,13 @@ def _pose_frame(frame: Frame, model: ColmapModel, image_id: int, points: NDArray
     )
 
 
-def _warn_left_out(structure: Structure, usable_count: int) -> None:
+def _warn_left_out(structure: Structure, names: Sequence[str]) -> None:
+    """Warn about photos without a pose.
+
+    Parameters
+    ----------
+    names : names of all photos that were read, in order.
+    """
     left_out = [name for group in structure.other_groups for name in group] + list(structure.unconnected)
     if not left_out:
         return
@@ -341,15 +422,34 @@ def _warn_left_out(structure: Structure, usable_count: int) -> None:
         STRUCTURE_PHOTOS_LEFT_OUT.warning(
             "{left_out} of {photos} photos have too few features in common with the others and are not used: "
             "{names}{groups}",
+            remedy="to connect them, take photos between {gaps}",
             left_out=len(left_out),
-            photos=usable_count,
+            photos=len(names),
             names=_join_names(left_out),
             groups=groups,
+            gaps=_describe_gaps(names, set(left_out)),
         )
     )
 
 
-def _make_not_connected_error(names: Sequence[str], pairs: VerifiedPairs, folder: Path | None) -> InputError:
+def _describe_gaps(names: Sequence[str], left_out: Collection[str]) -> str:
+    """Name pairs of consecutive photos of which one has a pose and one has none."""
+    gaps = [f"{a} and {b}" for a, b in itertools.pairwise(names) if (a in left_out) != (b in left_out)]
+    more = f", and {len(gaps) - _MAX_GROUPS} more" if len(gaps) > _MAX_GROUPS else ""
+    return ", ".join(gaps[:_MAX_GROUPS]) + more
+
+
+def _describe_weak_photos(photos: Sequence[PhotoFeatures]) -> str:
+    """Describe photos with few features: blurred, dark or without texture; empty if there are none."""
+    weak = sum(len(photo.pixels) < _MIN_FEATURES for photo in photos)
+    if not weak:
+        return ""
+    return f"{weak} of {len(photos)} photos have few features: they are blurred, dark, or without texture. "
+
+
+def _make_not_connected_error(
+    names: Sequence[str], pairs: VerifiedPairs, folder: Path | None, weak_photos: str
+) -> InputError:
     groups = _find_groups(len(names), pairs)
     named = [[names[index] for index in group] for group in groups]
     connected = [group for group in named if len(group) > 1]
@@ -359,8 +459,9 @@ def _make_not_connected_error(names: Sequence[str], pairs: VerifiedPairs, folder
             "no camera poses can be computed, because no two of the {count} photos have enough features in "
             "common.",
             folder,
-            remedy=_ADVICE,
+            remedy="{weak_photos}" + _ADVICE,
             count=len(names),
+            weak_photos=weak_photos,
         )
     alone = [group[0] for group in named if len(group) == 1]
     if len(connected[0]) < _MIN_PHOTOS:
@@ -371,7 +472,8 @@ def _make_not_connected_error(names: Sequence[str], pairs: VerifiedPairs, folder
         STRUCTURE_NOT_CONNECTED,
         "no camera poses can be computed, because {reason}. {groups}{alone}.",
         folder,
-        remedy=_ADVICE,
+        remedy="{weak_photos}" + _ADVICE,
+        weak_photos=weak_photos,
         reason=reason,
         groups=_describe_groups(connected),
         alone=f"; without a partner: {_join_names(alone)}" if alone else "",

@@ -156,3 +156,19 @@ def test_depth_under_an_unknown_name_becomes_a_scan(tmp_path: Path, tiny) -> Non
     (tmp_path / "kinect_d").rename(tmp_path / "depth")
     scan = read_scan(tmp_path, ScanParams(intrinsics=tiny.option), complete=False)
     assert (len(scan.frames), scan.is_stereo) == (2, False)
+
+
+@pytest.mark.parametrize("place", ["images", "."])
+def test_photos_of_phones_in_heic_are_converted(tmp_path: Path, tiny, place: str) -> None:
+    photos = tmp_path / "walk" / place
+    photos.mkdir(parents=True, exist_ok=True)
+    for number in range(3):
+        (photos / f"IMG_{number}.HEIC").write_bytes(b"\0\0\0\x18ftypheic")
+    text = refusal(tmp_path / "walk")
+    assert "3 photos in a format that is not supported (.HEIC)" in text
+    (convert,) = commands(text)
+    assert convert.endswith(f"{photos.name}/*.HEIC")
+    for number in range(3):
+        tiny.color(photos / f"IMG_{number}.png")
+    scan = read_scan(tmp_path / "walk", complete=False)
+    assert (scan.layout, len(scan.frames)) == ("photos", 3)
