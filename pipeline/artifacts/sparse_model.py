@@ -51,7 +51,7 @@ class SparseModel(Artifact):
                     depth_range=estimate_depth_range(depths),
                 )
             )
-        return replace(scan, frames=frames, missing=(), up=None)
+        return replace(scan, frames=frames, missing=(), up=scan.up if scan.has_poses else None)
 
     def _load_photos(self, scan: Scan) -> Sequence[Frame]:
         """Return the frames that were used: of a video those in `frames/`, else all of the scan."""

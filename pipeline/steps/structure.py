@@ -33,8 +33,13 @@ class StructureInputs:
 
 
 def needs_structure(scan: Scan) -> bool:
-    """Return True if the poses of photos are estimated: if the scan has neither poses nor depth."""
-    return scan.is_views and not scan.has_poses
+    """Return True if the poses of photos are estimated: if photos without depth have none."""
+    return scan.is_views and any(frame.world_from_camera is None for frame in scan.frames)
+
+
+def has_estimated_world(scan: Scan) -> bool:
+    """Return True if no photo has a pose, so that `structure` chooses world and unit."""
+    return needs_structure(scan) and not scan.has_poses
 
 
 def _run(inputs: StructureInputs, params: StructureParams, context: Context) -> Mapping[str, Any]:

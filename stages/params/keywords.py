@@ -277,6 +277,7 @@ class ReadingKeywords(TypedDict, total=False):
     depth_scale: float | None
     min_confidence: int | None
     align_axes: bool
+    keep_unposed: bool
     check_poses: bool
     first: int
     last: int | None
@@ -354,6 +355,7 @@ class ScanKeywords(TypedDict, total=False):
     depth_scale: float | None
     min_confidence: int | None
     align_axes: bool
+    keep_unposed: bool
     check_poses: bool
     first: int
     last: int | None

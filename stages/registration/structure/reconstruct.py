@@ -36,7 +36,7 @@ from scanloom.stages.registration.structure.photo_matching import match_photos, 
 from scanloom.stages.scans.model.depth_range import estimate_depth_range
 from scanloom.stages.scans.model.poses import invert_pose
 from scanloom.stages.scans.model.prefetch import get_worker_count, map_ordered
-from scanloom.stages.scans.model.scan import Camera, Frame, Scan, SkippedFrame
+from scanloom.stages.scans.model.scan import Camera, Frame, Pose, Scan, SkippedFrame
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
@@ -65,7 +65,7 @@ class Structure:
     Attributes
     ----------
     frames : photos of the largest group, with pose, camera with distortion, and depth range. World and unit
-        are arbitrary.
+        are arbitrary, unless some photos had poses.
     frame_indices : indices of these photos in the scan.
     other_groups : names of the photos of each other group; its poses are not related to those of `frames`.
     unconnected : names of the photos without a pose in any group.
@@ -141,7 +141,8 @@ def reconstruct_cameras(
     adjustment. All pairs of up to 25 photos are matched, of more photos the 24 most similar partners of each.
     If less than 90 % of the photos connect, features with affine shapes are tried, too. Photos with the same
     camera (size and start value of the intrinsics) share its refined focal length and distortion; the
-    principal point is the centre. Existing poses are ignored.
+    principal point is the centre. If two or more photos have poses, these poses and their cameras are kept,
+    and the other photos are added.
 
     Equal photos give bit-identical results on one machine, for any number of threads. Other processors may
     round differently, because pycolmap uses other instructions there.
@@ -238,7 +239,8 @@ def _reconstruct(scan: Scan | Sequence[Frame], params: StructureParams, progress
     files = _make_image_names(frames, folder)
     images = [(index + 1, files[index]) for index in usable]
     features = [photo for photo in photos if photo is not None]
-    best = _attempt(features, images, _METHODS[0], max_pixels, len(frames), progress)
+    poses = _list_known_poses([frames[index] for index in usable])
+    best = _attempt(features, images, poses, _METHODS[0], max_pixels, len(frames), progress)
     if best.photo_count < _CONNECTED_RATIO * len(usable):
 
         def report(done: int, total: int) -> object:
@@ -249,18 +251,29 @@ def _reconstruct(scan: Scan | Sequence[Frame], params: StructureParams, progress
         )
         features = [photo for photo in again if photo is not None]
         if len(features) == len(usable):
-            second = _attempt(features, images, _METHODS[1], max_pixels, len(frames), report)
+            second = _attempt(features, images, poses, _METHODS[1], max_pixels, len(frames), report)
             best = max(best, second, key=lambda one: (one.photo_count, len(one.pairs)))
     if not best.models:
         raise _make_not_connected_error(names, best.pairs, folder, _describe_weak_photos(best.features))
-    structure = _make_structure(frames, usable, best, tuple(skipped))
+    structure = _make_structure(frames, usable, best, poses, tuple(skipped))
     _warn_left_out(structure, names)
     return structure
+
+
+def _list_known_poses(frames: Sequence[Frame]) -> dict[int, Pose]:
+    """Return the known poses, camera from world, by index; none if fewer than two photos have a pose."""
+    poses = {
+        index: invert_pose(frame.world_from_camera)
+        for index, frame in enumerate(frames)
+        if frame.world_from_camera is not None
+    }
+    return poses if len(poses) > 1 else {}
 
 
 def _attempt(
     features: Sequence[PhotoFeatures],
     images: Sequence[tuple[int, str]],
+    poses: Mapping[int, Pose],
     method: _MatchingMethod,
     max_pixels: float,
     photo_count: int,
@@ -271,6 +284,7 @@ def _attempt(
     Parameters
     ----------
     images : ID and unique name of the image of each photo.
+    poses : known poses, camera from world, by index of the photo.
     photo_count : number of photos, including those that cannot be read; unit of the progress.
     """
     total = _STEPS * photo_count
@@ -281,7 +295,8 @@ def _attempt(
             yield one
             progress(2 * photo_count + photo_count * (number + 1) // len(candidates), total)
 
-    pairs = verify_matches(features, iterate_matches(), max_pixels, method.min_inlier_ratio)
+    known = {features[index].camera for index in poses}
+    pairs = verify_matches(features, iterate_matches(), max_pixels, method.min_inlier_ratio, known)
     mapped = 0
 
     def report_photo() -> None:
@@ -289,7 +304,7 @@ def _attempt(
         mapped += 1
         progress(min(3 * photo_count + mapped, total), total)
 
-    models = map_photos(features, images, pairs, max_pixels, report_photo) if pairs else []
+    models = map_photos(features, images, pairs, max_pixels, report_photo, poses) if pairs else []
     progress(total, total)
     return _Attempt(features, len(candidates), pairs, models)
 
@@ -337,9 +352,11 @@ def _make_structure(
     frames: Sequence[Frame],
     usable: Sequence[int],
     attempt: _Attempt,
+    poses: Mapping[int, Pose],
     skipped: tuple[SkippedFrame, ...],
 ) -> Structure:
     largest = attempt.models[0]
+    known = {frames[usable[index]].camera for index in poses}
     indices = sorted(image_id - 1 for image_id in largest.reg_image_ids())
     posed = set(indices)
     others = []
@@ -351,7 +368,7 @@ def _make_structure(
     points, colors, observed = _collect_points(largest, dict(zip(usable, attempt.features, strict=True)))
     return Structure(
         frames=tuple(
-            _pose_frame(frames[index], largest, index + 1, points[observed.get(index + 1, [])])
+            _pose_frame(frames[index], largest, index + 1, points[observed.get(index + 1, [])], known)
             for index in indices
         ),
         frame_indices=tuple(indices),
@@ -386,21 +403,39 @@ def _collect_points(
     return np.array(points, np.float64).reshape(-1, 3), np.array(colors, np.uint8).reshape(-1, 3), observed
 
 
-def _pose_frame(frame: Frame, model: ColmapModel, image_id: int, points: NDArray[np.float64]) -> Frame:
-    """Return a photo with the pose and camera of the model, and the depth range of its points."""
+def _pose_frame(
+    frame: Frame,
+    model: ColmapModel,
+    image_id: int,
+    points: NDArray[np.float64],
+    known: Collection[Camera],
+) -> Frame:
+    """Return a photo with the pose and camera of the model, and the depth range of its points.
+
+    Parameters
+    ----------
+    known : cameras that were not refined.
+    """
     image = model.image(image_id)
     camera_from_world = np.eye(4)
     camera_from_world[:3] = image.cam_from_world().matrix()
     pose = invert_pose(camera_from_world)
-    camera = model.camera(image.camera_id)
-    focal, cx, cy, k1 = (float(value) for value in camera.params)
-    distortion = (k1, 0.0, 0.0, 0.0) if k1 else ()
+    if frame.world_from_camera is not None and frame.camera in known:
+        # The same to the last bit.
+        pose = frame.world_from_camera
     return replace(
         frame,
-        camera=Camera(camera.width, camera.height, focal, focal, cx - 0.5, cy - 0.5, distortion),
+        camera=frame.camera if frame.camera in known else _convert_refined(model.camera(image.camera_id)),
         world_from_camera=pose,
         depth_range=estimate_depth_range((points - pose[:3, 3]) @ pose[:3, 2]),
     )
+
+
+def _convert_refined(camera: Any) -> Camera:
+    """Convert a refined camera of pycolmap."""
+    focal, cx, cy, k1 = (float(value) for value in camera.params)
+    distortion = (k1, 0.0, 0.0, 0.0) if k1 else ()
+    return Camera(camera.width, camera.height, focal, focal, cx - 0.5, cy - 0.5, distortion)
 
 
 def _warn_left_out(structure: Structure, names: Sequence[str]) -> None:

@@ -99,13 +99,13 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
 
 def _create_frame(file: Path, stated: Camera | None) -> Frame | SkippedFrame:
     try:
-        camera, mask = _choose_camera(file, stated), find_transparency_mask(file)
+        camera, mask = choose_camera(file, stated), find_transparency_mask(file)
         return Frame(file.stem, camera, color=file, mask=mask)
     except InputError as error:
         return SkippedFrame(file.stem, error.diagnostic)
 
 
-def _choose_camera(file: Path, stated: Camera | None) -> Camera:
+def choose_camera(file: Path, stated: Camera | None) -> Camera:
     """Return the start value of the camera: from the user, from EXIF, or a guess."""
     size = width, height = read_image_size(file)
     if stated is not None:

@@ -31,7 +31,7 @@ _MAX_STORED_FRAMES = 108_000
 
 
 def _matches(folder: Path) -> str | None:  # noqa: ARG001
-    # Folders may hold videos beside other files.
+    # Folders with other files may also hold videos.
     return None
 
 

@@ -25,8 +25,8 @@ from scanloom.stages.scans.model.scan import ColorImage
 _DECODED_BYTES = 1 << 27
 # Images that a decoder holds: up to 16 reference pictures, and some in its pipeline.
 _DECODER_IMAGES = 20
-# Containers by suffix. FFmpeg also reads playlists, which could make it open other files: the start of a file
-# must be that of a container. First box types of MP4 and QuickTime; AVI; Matroska; ASF; MPEG.
+# Suffixes and first bytes of containers: box types of MP4 and QuickTime; AVI, Matroska, ASF and MPEG. Other
+# files are refused, because FFmpeg also reads playlists, which could make FFmpeg open further files.
 VIDEO_SUFFIXES = (".mp4", ".mov", ".m4v", ".3gp", ".avi", ".mkv", ".webm", ".wmv", ".mpg", ".mpeg")
 _FIRST_BOX_TYPES = (b"ftyp", b"moov", b"mdat", b"wide", b"free", b"skip")
 _STARTS = (b"RIFF", b"\x1aE\xdf\xa3", b"0&\xb2u\x8ef\xcf\x11", b"\x00\x00\x01\xba")

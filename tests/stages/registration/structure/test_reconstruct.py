@@ -261,3 +261,24 @@ def test_cameras_of_other_sizes_are_not_shared():
     found = reconstruct_cameras(mixed)
     assert len(found.frames) == COUNT
     assert [one["photos"] for one in found.to_dict()["cameras"]] == [4, 4]
+
+
+def test_photos_without_poses_are_added_to_those_with_poses():
+    # Known cameras, with distortion coefficients that are zero but stored.
+    known = replace(CAMERA, distortion=(1e-9, 0.0, 0.0, 0.0))
+    photos = [
+        replace(frame, camera=known, world_from_camera=None if number in (2, 5) else frame.world_from_camera)
+        for number, frame in enumerate(make_photos())
+    ]
+    # A photo of another device: its focal length is refined.
+    photos[5] = replace(photos[5], camera=GUESS)
+    found = reconstruct_cameras(photos)
+    assert found.frame_indices == tuple(range(COUNT))
+    for frame, true in zip(found.frames, make_photos(), strict=True):
+        difference = np.linalg.inv(true.world_from_camera) @ frame.world_from_camera
+        # In the world and the unit of the known poses, which are kept.
+        is_known = frame.name not in ("0002", "0005")
+        assert np.linalg.norm(difference[:3, 3]) <= (1e-12 if is_known else 0.01 * posed_scene.DISTANCE)
+        assert np.degrees(np.arccos(np.clip((np.trace(difference[:3, :3]) - 1) / 2, -1, 1))) < 0.5
+    assert {frame.camera for frame in found.frames} == {known, found.frames[5].camera}
+    assert abs(found.frames[5].camera.fx / CAMERA.fx - 1) < 0.02
