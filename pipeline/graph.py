@@ -99,7 +99,7 @@ def plan_stages(scan: Scan, config: Sections) -> Sequence[AnyStage]:
     available = {scan_name, *(stage.artifact.NAME for stage in stages)}
     if scan.held_out:
         available.add("held_out")
-    if "structure" not in skipped and scan.is_metric:
+    if structure.has_estimated_world(scan) and scan.is_metric:
         available.add("scan_scale")
     if config.get(DepthParams).model is not None:
         available.add("network")

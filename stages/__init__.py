@@ -58,6 +58,7 @@ if TYPE_CHECKING:
     from scanloom.stages.registration.params import RegisterParams
     from scanloom.stages.registration.register import register
     from scanloom.stages.registration.registration_result import Registration
+    from scanloom.stages.registration.structure.frame_selection import extract_frames
     from scanloom.stages.registration.structure.params import StructureParams
     from scanloom.stages.registration.structure.reconstruct import Structure, reconstruct_cameras
     from scanloom.stages.rendering.image_comparison import ViewComparison, ViewsParams, compare_views
@@ -157,6 +158,7 @@ _NAMES_OF = {
     "stereo.disparity": ("Disparity", "stereo_disparity"),
     "stereo.params": ("SgbmParams",),
     "stereo.views_depth": ("views_depth",),
+    "registration.structure.frame_selection": ("extract_frames",),
     "registration.structure.params": ("StructureParams",),
     "registration.structure.reconstruct": ("Structure", "reconstruct_cameras"),
     "surface.point_cloud_files": ("read_cloud",),
@@ -274,6 +276,7 @@ __all__ = [
     "depth_scan",
     "deviations",
     "export",
+    "extract_frames",
     "fuse",
     "inspect",
     "load_record",

@@ -40,6 +40,7 @@ OF_EXTRAS = {
     "stages/surface/formats/e57.py": {"pye57": "pye57"},
     "stages/surface/formats/las.py": {"laspy": "laspy"},
     "stages/registration/structure/incremental_mapping.py": {"pycolmap": "pycolmap"},
+    "stages/registration/structure/photo_features.py": {"pycolmap": "pycolmap"},
     "stages/stereo/networks/worker.py": {"onnxruntime": "onnxruntime"},
     "stages/rendering/plots.py": {"matplotlib": "matplotlib"},
 }

@@ -194,6 +194,13 @@ def _summary(result: RunResult) -> str:
         )
     if guess := _describe_guessed_camera(result.report):
         lines.append(guess)
+    if mesh is not None and not result.report["scan"]["metric"]:
+        lines.append(
+            as_typed(
+                "lengths are in units, because the scan has no metric scale; "
+                "scan.scale=METRES_PER_UNIT sets it"
+            )
+        )
     placed = [path.relative_to(result.out).parts for stage in result.stages for path in stage.results]
     names = dict.fromkeys(parts[0] + ("/" if parts[1:] else "") for parts in placed)
     pages = [] if result.page is None else [result.page.name]

@@ -23,8 +23,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scanloom.pipeline.stage import Artifact
+from scanloom.stages.diagnostics.collector import collecting, emit
 from scanloom.stages.diagnostics.errors import InputError
-from scanloom.stages.scans.codes import SCAN_TOO_MANY_FRAMES_SKIPPED
+from scanloom.stages.scans.codes import SCALE_NOT_METRIC, SCAN_TOO_MANY_FRAMES_SKIPPED
 from scanloom.stages.scans.layouts.scan_json import write_scan_json
 from scanloom.stages.scans.model.prefetch import map_ordered
 from scanloom.stages.scans.model.scan import ColorImage, DepthImage, Frame, Scan, SkippedFrame
@@ -48,8 +49,12 @@ class DepthMaps(Artifact):
 
     def load(self) -> Scan:
         """Load the frames as a scan."""
+        with collecting(forward=False) as diagnostics:
+            scan = read_scan(self.folder, complete=False)
+        # The reader of the source scan has reported the missing scale.
+        emit(*(one for one in diagnostics if one.code != SCALE_NOT_METRIC.name))
         # Messages must not name the cache folder.
-        return replace(read_scan(self.folder, complete=False), folder=None)
+        return replace(scan, folder=None)
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,12 +1,13 @@
 """Files with the cameras estimated by `structure`.
 
 sparse/0/   model in COLMAP's binary format: cameras, images with poses, sparse points. Image names are paths
-            in the scan folder; the ID of an image is its frame index plus 1.
+            in the scan folder, or in frames/; the ID of an image is its frame index plus 1.
+frames/     frames that were taken from a video: JPEG files, named by frame
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -16,11 +17,12 @@ import numpy as np
 from scanloom.pipeline.relative_paths import make_paths_relative
 from scanloom.pipeline.stage import Artifact
 from scanloom.stages.registration.structure.reconstruct import Structure
+from scanloom.stages.scans.image_folders.image_files import list_images
 from scanloom.stages.scans.layouts.colmap.model_files import read_model, read_points
 from scanloom.stages.scans.model.depth_range import estimate_depth_range
-from scanloom.stages.scans.model.scan import Scan
+from scanloom.stages.scans.model.scan import Frame, Scan
 
-MODEL_FOLDER = "sparse"
+MODEL_FOLDER, FRAMES_FOLDER = "sparse", "frames"
 _MODEL = "0"
 
 
@@ -33,6 +35,7 @@ class SparseModel(Artifact):
     def apply_to(self, scan: Scan) -> Scan:
         """Apply the estimated cameras to a scan, dropping frames without a pose."""
         model = self.folder / MODEL_FOLDER / _MODEL
+        photos = self._load_photos(scan)
         points = read_points(model)
         frames = []
         for view in sorted(read_model(model), key=lambda view: view.image_id):
@@ -42,13 +45,21 @@ class SparseModel(Artifact):
             depths = (points.get(view.image_id, np.zeros((0, 3))) - pose[:3, 3]) @ pose[:3, 2]
             frames.append(
                 replace(
-                    scan.frames[view.image_id - 1],
+                    photos[view.image_id - 1],
                     camera=view.camera,
                     world_from_camera=pose,
                     depth_range=estimate_depth_range(depths),
                 )
             )
-        return replace(scan, frames=frames, missing=(), up=None)
+        return replace(scan, frames=frames, missing=(), up=scan.up if scan.has_poses else None)
+
+    def _load_photos(self, scan: Scan) -> Sequence[Frame]:
+        """Return the frames that were used: of a video those in `frames/`, else all of the scan."""
+        folder = self.folder / FRAMES_FOLDER
+        if not folder.is_dir():
+            return scan.frames
+        frames = {frame.name: frame for frame in scan.frames}
+        return [replace(frames[file.stem], color=file) for file in list_images(folder)]
 
 
 def write_sparse_model(

@@ -246,11 +246,13 @@ def _read_photos(config: Config, scan: Scan) -> Scan | None:
     """Read the photos of `texture.images`, which replace the frames as source of the texture."""
     if config.texture.images is None:
         return None
+    # No stage estimates poses of these photos.
+    params = replace(config.photos, keep_unposed=False)
     with collecting(forward=False) as diagnostics:
-        photos = read_scan(config.texture.images, config.photos, complete=False)
+        photos = read_scan(config.texture.images, params, complete=False)
     if not photos.is_metric and scan.scale is not None:
         # The photos share the world frame of the scan, so the unit of the scan applies.
-        known = replace(config.photos, scale=scan.scale.metres_per_unit)
+        known = replace(params, scale=scan.scale.metres_per_unit)
         photos = read_scan(config.texture.images, known, complete=False)
     else:
         emit(*diagnostics)

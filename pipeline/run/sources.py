@@ -18,7 +18,7 @@ from scanloom.pipeline.cache.digest import (
 from scanloom.pipeline.config import Config
 from scanloom.pipeline.graph import get_scan_input_name, is_textured
 from scanloom.pipeline.run.engine import StageInput
-from scanloom.pipeline.steps.structure import needs_structure
+from scanloom.pipeline.steps.structure import has_estimated_world
 from scanloom.stages.diagnostics.codes import MACHINE_BUSY
 from scanloom.stages.diagnostics.errors import StageError
 from scanloom.stages.inspecting.libraries import list_installed_versions
@@ -46,7 +46,7 @@ def load_sources(
         found["photos"] = _make_source(photos, progress)
     if is_textured(scan, config):
         found["is_textured"] = StageInput(compute_digest({}), True, {})
-    if needs_structure(scan) and scan.is_metric:
+    if has_estimated_world(scan) and scan.is_metric:
         found["scan_scale"] = _make_scale(config.scan)
     if config.depth.model is not None:
         found["network"] = _load_network(Path(config.depth.model))

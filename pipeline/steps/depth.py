@@ -63,6 +63,9 @@ def _run(inputs: DepthInputs, params: DepthParams, context: Context) -> Mapping[
 def _load_posed(inputs: DepthInputs) -> Scan:
     if inputs.sparse_model is None:
         return inputs.scan
+    if inputs.scan.has_poses:
+        # Photos were added to the world of those with poses.
+        return inputs.sparse_model.apply_to(inputs.scan)
     scan = inputs.sparse_model.apply_to(replace(inputs.scan, is_metric=False, scale=None))
     if inputs.scan_scale is None:
         return scan

@@ -6,15 +6,22 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from scanloom.pipeline.artifacts.sparse_model import MODEL_FOLDER, SparseModel, write_sparse_model
+from scanloom.pipeline.artifacts.sparse_model import (
+    FRAMES_FOLDER,
+    MODEL_FOLDER,
+    SparseModel,
+    write_sparse_model,
+)
 from scanloom.pipeline.cost_model import CostModel
 from scanloom.pipeline.result_versions import make_fixed_versions
 from scanloom.pipeline.sections import Sections
 from scanloom.pipeline.skipped_frames import warn_skipped_frames
 from scanloom.pipeline.stage import Context, Stage
 from scanloom.stages.inspecting.libraries import list_installed_versions
+from scanloom.stages.registration.structure.frame_selection import extract_frames
 from scanloom.stages.registration.structure.params import StructureParams
 from scanloom.stages.registration.structure.reconstruct import reconstruct_cameras
+from scanloom.stages.scans.layouts import video_file
 from scanloom.stages.scans.model.scan import Scan
 
 
@@ -26,12 +33,29 @@ class StructureInputs:
 
 
 def needs_structure(scan: Scan) -> bool:
-    """Return True if the poses of photos are estimated: if the scan has neither poses nor depth."""
-    return scan.is_views and not scan.has_poses
+    """Return True if the poses of photos are estimated: if photos without depth have none."""
+    return scan.is_views and any(frame.world_from_camera is None for frame in scan.frames)
+
+
+def has_estimated_world(scan: Scan) -> bool:
+    """Return True if no photo has a pose, so that `structure` chooses world and unit."""
+    return needs_structure(scan) and not scan.has_poses
 
 
 def _run(inputs: StructureInputs, params: StructureParams, context: Context) -> Mapping[str, Any]:
-    found = reconstruct_cameras(inputs.scan, params, progress=context.progress)
+    scan, progress = inputs.scan, context.progress
+    if scan.layout == video_file.LAYOUT.name:
+        scan = extract_frames(
+            scan,
+            context.folder / FRAMES_FOLDER,
+            params,
+            progress=lambda done, total: context.progress(done, 2 * total),
+        )
+
+        def progress(done: int, total: int) -> object:
+            return context.progress(total + done, 2 * total)
+
+    found = reconstruct_cameras(scan, params, progress=progress)
     metrics = write_sparse_model(context.folder, found, inputs.scan.folder)
     warn_skipped_frames(metrics["photos_skipped"])
     return metrics
@@ -52,9 +76,9 @@ STAGE = Stage(
     labels=("names",),
     artifact=SparseModel,
     run=_run,
-    versions=make_fixed_versions(reconstruct_cameras),
+    versions=make_fixed_versions(extract_frames, reconstruct_cameras),
     libraries=list_installed_versions("opencv", "pycolmap"),
-    result_names=(f"{MODEL_FOLDER}/",),
+    result_names=(f"{MODEL_FOLDER}/", f"{FRAMES_FOLDER}/"),
     skip_reason=_get_skip_reason,
     cost=CostModel(
         seconds=2,

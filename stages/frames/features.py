@@ -39,7 +39,7 @@ def detect_keypoints(grey: NDArray[np.uint8], max_count: int, *, contrast: float
 
     # Without precise upscaling, OpenCV doubles the image with an offset of a quarter of a pixel.
     sift = cv2.SIFT.create(nfeatures=max_count, contrastThreshold=contrast, enable_precise_upscale=True)
-    found, descriptors = sift.detectAndCompute(_stretch_contrast(grey), None)
+    found, descriptors = sift.detectAndCompute(stretch_contrast(grey), None)
     if len(found) == 0:
         descriptors = np.zeros((0, 128))
     return Keypoints(
@@ -55,8 +55,14 @@ def compute_root_sift(descriptors: NDArray[np.uint8]) -> NDArray[np.float32]:
     return np.asarray(np.sqrt(descriptors / sums.clip(1e-9)), np.float32)
 
 
-def match_descriptors(source: NDArray[np.uint8], target: NDArray[np.uint8]) -> NDArray[np.int64]:
+def match_descriptors(
+    source: NDArray[np.uint8], target: NDArray[np.uint8], *, max_ratio: float = _MAX_RATIO
+) -> NDArray[np.int64]:
     """Match descriptors that are mutual nearest neighbours and pass the ratio test.
+
+    Parameters
+    ----------
+    max_ratio : maximum ratio of the distances of the best and the second-best match.
 
     Returns
     -------
@@ -65,7 +71,7 @@ def match_descriptors(source: NDArray[np.uint8], target: NDArray[np.uint8]) -> N
     from scanloom.stages import _kernels
 
     # OpenBLAS is slower: its threads wait for each other in products of small matrices.
-    return _kernels.match_descriptors(source, target, max_distance_ratio=_MAX_RATIO)
+    return _kernels.match_descriptors(source, target, max_distance_ratio=max_ratio)
 
 
 def find_epipolar_inliers(first: NDArray[np.float32], second: NDArray[np.float32]) -> NDArray[np.bool_]:
@@ -86,8 +92,8 @@ def find_epipolar_inliers(first: NDArray[np.float32], second: NDArray[np.float32
     return kept & (np.count_nonzero(kept) >= _MIN_INLIERS)
 
 
-def _stretch_contrast(grey: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Stretch the contrast, so that dark images have keypoints too."""
+def stretch_contrast(grey: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Stretch the contrast of an (h, w) image, so that dark images have keypoints too."""
     import cv2
 
     shares = np.cumsum(np.bincount(grey.ravel(), minlength=256)) / grey.size

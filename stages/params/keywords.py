@@ -277,6 +277,7 @@ class ReadingKeywords(TypedDict, total=False):
     depth_scale: float | None
     min_confidence: int | None
     align_axes: bool
+    keep_unposed: bool
     check_poses: bool
     first: int
     last: int | None
@@ -354,6 +355,7 @@ class ScanKeywords(TypedDict, total=False):
     depth_scale: float | None
     min_confidence: int | None
     align_axes: bool
+    keep_unposed: bool
     check_poses: bool
     first: int
     last: int | None
@@ -436,6 +438,7 @@ class StructureKeywords(TypedDict, total=False):
     """Fields of `StructureParams`."""
 
     max_megapixels: float
+    max_frames: int
 
 
 class TextureKeywords(TypedDict, total=False):

@@ -13,7 +13,10 @@ from scanloom.stages.scans.image_folders.image_files import (
     list_images,
 )
 
-_VIDEOS = (".mp4", ".mov", ".m4v", ".avi", ".webm", ".mpg", ".mpeg", ".wmv")
+# Videos that are not read; see `VIDEO_SUFFIXES` for the others.
+_VIDEOS = (".ts", ".mts", ".m2ts", ".flv", ".ogv", ".insv", ".hevc", ".h264", ".h265")
+# Photos that no library of the package decodes.
+_UNREADABLE_PHOTOS = (".heic", ".heif", ".avif", ".dng", ".cr2", ".cr3", ".nef", ".arw", ".raf", ".jxl")
 _ARCHIVES = (".zip", ".tar", ".tgz", ".gz", ".bz2", ".xz", ".7z", ".rar", ".zst")
 _MESHES = (".glb", ".gltf", ".ply", ".obj", ".off", ".stl", ".fbx", ".usdz", ".usd", ".dae", ".3ds")
 _CLOUDS = (".las", ".laz", ".e57", ".pcd", ".pts", ".xyz")
@@ -35,11 +38,9 @@ def describe_file(path: Path, *, is_scan_folder: bool) -> str:
     if is_scan_folder:
         return f"this is a file, not a scan folder. Its folder is a scan: give {folder}."
     if suffix in _VIDEOS:
-        photos = f"{path.stem}/images"
         return (
-            "this is a file, not a scan folder: a video. Create the folder "
-            f"{photos}/, extract frames into it, such as with `ffmpeg -i {name} -vf fps=2 "
-            f"{_quote(photos)}/%05d.jpg`, and give {path.stem}: the stage structure estimates their poses."
+            "this is a file, not a scan folder: a video whose format is not supported. To use it, "
+            + describe_frame_extraction(path)
         )
     if suffix in _ARCHIVES:
         target = _quote(path.name.removesuffix(path.suffix))
@@ -68,6 +69,36 @@ def describe_file(path: Path, *, is_scan_folder: bool) -> str:
         "this is a file, not a scan folder. Give the folder with the images, or a recording (.bag, .db3, "
         ".mcap, .sens, .r3d)."
     )
+
+
+def describe_frame_extraction(video: Path) -> str:
+    """Describe the extraction of photos from a video with FFmpeg."""
+    photos = f"{video.stem}/images"
+    return (
+        f"create the folder {photos}/, extract frames into it, such as with `ffmpeg -i {_quote(video.name)} "
+        f"-vf fps=2 -q:v 2 {_quote(photos)}/%05d.jpg`, and give {video.stem}."
+    )
+
+
+def describe_unreadable_photos(folder: Path) -> str | None:
+    """Advise on photos in formats that are not decoded (HEIC, raw); None if there are none.
+
+    Parameters
+    ----------
+    folder : folder that was given as a scan; subfolders are searched, too.
+    """
+    for place in (folder, *(one for one in sorted(folder.iterdir()) if one.is_dir())):
+        photos = list_images(place, _UNREADABLE_PHOTOS)
+        if len(photos) < _MIN_STREAM_COUNT or list_images(place):
+            continue
+        where = "it" if place == folder else f"{place.name}/"
+        kind = photos[0].suffix
+        return (
+            f"{where} holds {len(photos):,} photos in a format that is not supported ({kind}). Convert them, "
+            f"such as with `magick mogrify -format jpg -quality 95 {_quote(place.name)}/*{kind}` in the "
+            "parent folder, and give the folder again. iPhones write JPEG with the setting Most Compatible."
+        )
+    return None
 
 
 def describe_photos(folder: Path, photos: Path) -> str:

@@ -442,9 +442,9 @@ SCAN_LAYOUT_UNKNOWN = Code(
     "The layout of the folder is not recognised",
     """
 Give the folder that contains the image folders. A folder that holds exactly one scan is replaced by that
-scan, with a notice. The message names the next step for videos, archives, meshes, photos without poses, and
+scan, with a notice. The message names the next step for archives, meshes, photos without poses, and
 pairs of images under unknown names. For `.bag`, `.db3`, `.mcap`,
-`.sens` and `.r3d`, give the file itself. If several layouts would fit, `scan.layout=NAME`
+`.sens`, `.r3d` and videos, give the file itself. If several layouts would fit, `scan.layout=NAME`
 selects one; its reader then reports which file is missing. Any other folder can be converted to
 [plain-rgbd](../formats/scans.md#plain-rgbd): folders `color/` and `depth/`, and a `scan.json`.
 """,
@@ -513,4 +513,13 @@ message names the frame. Colour images are uint8: `np.rint(255 * image).astype(n
 is the inverse of Open3D's `extrinsic`.
 """,
     "frame 3: a colour image must be (h, w, 3) RGB or (h, w) grey uint8, not (480, 640, 3) float64.",
+)
+SCAN_VIDEO_TOO_LONG = Code(
+    "scan.video-too-long",
+    "Videos with too many frames",
+    """
+Exit code 3. Videos of up to 108,000 frames are read, an hour at 30 frames per second. The message contains a
+command that cuts a part without encoding it again. A few minutes suffice for a room or an object.
+""",
+    "walk.mp4: the video has more than 108,000 frames.",
 )

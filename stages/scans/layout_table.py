@@ -34,6 +34,7 @@ from scanloom.stages.scans.layouts import (
     stray_scanner,
     sun_rgbd,
     tartan_air,
+    video_file,
 )
 from scanloom.stages.scans.layouts import ros_recording as ros_bag
 from scanloom.stages.scans.layouts.colmap import folder as colmap
@@ -84,6 +85,8 @@ GENERIC_LAYOUTS: tuple[Layout, ...] = (
     redwood.LAYOUT,
     # It accepts any folder with images and poses.
     plain_views.LAYOUT,
+    # It only accepts files.
+    video_file.LAYOUT,
     # Last: it accepts any folder with images alone.
     plain_photos.LAYOUT,
 )

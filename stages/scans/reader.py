@@ -16,7 +16,12 @@ from scanloom.stages.diagnostics.errors import InputError, UsageError
 from scanloom.stages.files.blas_memory import reserve_blas_buffers
 from scanloom.stages.files.codes import FILE_PATH_INVALID, FILE_UNREADABLE
 from scanloom.stages.files.file_access_log import record_opened_files
-from scanloom.stages.scans.advice import describe_file, describe_photos, describe_streams
+from scanloom.stages.scans.advice import (
+    describe_file,
+    describe_photos,
+    describe_streams,
+    describe_unreadable_photos,
+)
 from scanloom.stages.scans.codes import (
     FRAME_IMAGE_MISSING,
     FRAME_POSE_MISSING,
@@ -46,6 +51,7 @@ from scanloom.stages.scans.transforms.adjusted_cameras import apply_adjusted_cam
 from scanloom.stages.scans.transforms.depth_calibration import apply_depth_calibration
 from scanloom.stages.scans.transforms.masks import apply_masks
 from scanloom.stages.scans.transforms.scale import apply_scale
+from scanloom.stages.scans.transforms.unposed_photos import add_unlisted_photos
 from scanloom.stages.scans.transforms.up_direction import set_layout_up
 
 # Maximum number of subfolders that a message names as scans.
@@ -76,15 +82,20 @@ def read_scan(folder: Path | str, options: ScanParams | None = None, *, complete
     folder = Path(folder)
     options = options or ScanParams()
     with collecting() as diagnostics:
-        scan = _read_frames(folder, options)
+        scan = _read_frames(folder, options, keep_unposed=options.keep_unposed and not complete)
         if complete:
             require_complete(scan, scan.folder or folder)
         _require_equal_sides(scan.frames, scan.folder or folder)
     return replace(scan, diagnostics=tuple(diagnostics))
 
 
-def _read_frames(folder: Path, options: ScanParams) -> Scan:
-    """Read all frames, apply poses, masks and scale, and return the selected frames."""
+def _read_frames(folder: Path, options: ScanParams, *, keep_unposed: bool) -> Scan:
+    """Read all frames, apply poses, masks and scale, and return the selected frames.
+
+    Parameters
+    ----------
+    keep_unposed : keep photos without a pose beside photos with poses.
+    """
     folder, layout = _select_layout(folder, options)
     with record_opened_files() as opened_files, collecting(forward=False) as diagnostics:
         read = layout.read(folder, options)
@@ -96,6 +107,9 @@ def _read_frames(folder: Path, options: ScanParams) -> Scan:
     )
     if layout.name != "sun-rgbd":  # its reader detects rotated bits itself
         scan = decode_rotated_scan(scan, options.depth_scale, is_own_layout=layout.name == "plain-rgbd")
+    keep_unposed = keep_unposed and scan.is_views and scan.has_poses
+    if keep_unposed:
+        scan = add_unlisted_photos(scan)
     masks = options.resolve_file("masks", folder)
     if masks is not None:
         scan = apply_masks(scan, masks)
@@ -109,7 +123,9 @@ def _read_frames(folder: Path, options: ScanParams) -> Scan:
     adjusted = options.resolve_file("adjusted_cameras", folder)
     if adjusted is not None:
         scan = apply_adjusted_cameras(scan, adjusted)
-    scan = _drop_untracked(_drop_missing_files(scan), folder)
+    scan = _drop_missing_files(scan)
+    if not keep_unposed:
+        scan = _drop_untracked(scan, folder)
     if options.align_axes:
         scan = apply_axis_alignment(scan, folder)
     _warn_irregular_times(scan.frames)
@@ -353,6 +369,8 @@ def _describe_unknown_folder(folder: Path) -> str:
         others = ", ".join(f"{name}/" for name, _ in inside[1:])
         also = f", and so do {others}" if others else ""
         return f"this is no scan, but its folder {child}/ looks like one ({layout}){also}; give that folder."
+    if (unreadable := describe_unreadable_photos(folder)) is not None:
+        return unreadable
     if (streams := describe_streams(folder)) is not None:
         return streams
     if (photos := find_photo_folder(folder)) is not None:

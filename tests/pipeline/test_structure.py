@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from pathlib import Path
 
 import cv2
@@ -109,3 +110,60 @@ def test_unrelated_photos_end_with_exit_code_3(tmp_path: Path, capsys) -> None:
     assert "no two of the 3 photos have enough features in common" in said
     with pytest.raises(InputError):
         run(tmp_path / "scan", tmp_path / "out")
+
+
+@pytest.mark.slow
+def test_a_video_becomes_cameras_and_depth(photos: Path, tmp_path: Path) -> None:
+    writer = cv2.VideoWriter(
+        str(tmp_path / "walk.avi"), cv2.CAP_FFMPEG, cv2.VideoWriter.fourcc(*"MJPG"), 10, (320, 240)
+    )
+    for file in sorted(photos.iterdir()):
+        writer.write(cv2.imread(str(file)))
+    writer.release()
+    result = run(tmp_path / "walk.avi", tmp_path / "out", Config().set(QUICK), until="fuse")
+    assert [stage.stage for stage in result.stages] == ["structure", "depth", "fuse"]
+    assert result.report["stages"]["structure"]["metrics"]["photos"] == 8
+    assert sorted(path.name for path in (tmp_path / "out" / "frames").iterdir()) == [
+        f"{number:06d}.jpg" for number in range(8)
+    ]
+    (tmp_path / "workspace").mkdir()
+    for name, target in (("images", "frames"), ("sparse", "sparse")):
+        (tmp_path / "workspace" / name).symlink_to(tmp_path / "out" / target)
+    assert len(read_scan(tmp_path / "workspace").frames) == 8
+    assert len(read_ply(tmp_path / "out" / "fused.ply").vertices) > 500
+    moved = tmp_path / "moved" / "walk.avi"
+    moved.parent.mkdir()
+    (tmp_path / "walk.avi").rename(moved)
+    again = run(moved, tmp_path / "out", Config().set(QUICK), until="fuse")
+    assert all(one.cached for one in again.stages)
+
+
+@pytest.mark.slow
+def test_photos_without_poses_join_those_with_poses(photos: Path, tmp_path: Path) -> None:
+    """The file of poses lists six of eight photos."""
+    folder = tmp_path / "scan"
+    (folder / "images").mkdir(parents=True)
+    listed = []
+    for number, file in enumerate(sorted(photos.iterdir())):
+        shutil.copy(file, folder / "images")
+        pose = posed_scene.pose(8.0 * (number - 4), 0, posed_scene.DISTANCE * (0.75, 1.0)[number % 2])
+        opengl = (pose @ np.diag((1.0, -1, -1, 1))).tolist()
+        if number not in (2, 5):
+            listed.append({"file_path": f"images/{file.name}", "transform_matrix": opengl})
+    known = {"w": 320, "h": 240, "fl_x": 400, "fl_y": 400, "cx": 160, "cy": 120}
+    (folder / "transforms.json").write_text(json.dumps({**known, "frames": listed}))
+    without = run(folder, tmp_path / "without", Config().set(QUICK), until="depth")
+    assert [stage.stage for stage in without.stages] == ["depth"]
+    assert without.report["stages"]["depth"]["metrics"]["frames_used"] == 6
+
+    changes = [*QUICK, "scan.keep_unposed=true", "scan.scale=2"]
+    result = run(folder, tmp_path / "out", Config().set(changes), until="depth")
+    assert [stage.stage for stage in result.stages] == ["structure", "depth"]
+    assert result.report["stages"]["structure"]["metrics"]["photos"] == 8
+    assert result.report["stages"]["depth"]["metrics"]["frames_used"] == 8
+    assert result.report["scan"]["metric"]
+    frames = read_scan(next((result.cache / "depth").iterdir()), complete=False).frames
+    for number in (1, 2, 5):
+        true = posed_scene.pose(8.0 * (number - 4), 0, posed_scene.DISTANCE * (0.75, 1.0)[number % 2])
+        found = frames[number].world_from_camera
+        np.testing.assert_allclose(found[:3, 3], 2 * true[:3, 3], atol=0.03)

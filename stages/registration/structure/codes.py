@@ -38,7 +38,18 @@ STRUCTURE_PHOTOS_LEFT_OUT = Code(
     """
 A warning. The photos that connect to the largest group are used; the message names the others. Some of them
 may form other groups: parts of the scene without a connection to the largest, or another scene. Take more
-photos between the groups ([how](#photos-that-do-not-connect)), or give each scene a separate folder.
+photos between the groups ([how](#photos-that-do-not-connect)), or give each scene a separate folder. The
+message names consecutive photos of which only one is used.
 """,
     "3 of 24 photos have too few features in common with the others and are not used: 0007, 0012, 0013",
+)
+STRUCTURE_VIDEO_TOO_FAST = Code(
+    "structure.video-too-fast",
+    "Videos with too much motion for the number of frames",
+    """
+A warning. A video is reduced to `structure.max_frames` frames, so neighbouring frames of a long video may
+not overlap. Increase the number, which takes longer, or process parts of the video (`scan.first`,
+`scan.last`).
+""",
+    "walk.mp4: the camera moves far for 120 frames, so neighbouring frames may not overlap",
 )

@@ -20,5 +20,12 @@ class StructureParams:
         high=100,
     )
 
+    max_frames: int = param(
+        120,
+        "Maximum number of frames that are taken from a video, evenly spaced by the motion of the image.",
+        low=3,
+        high=2000,
+    )
+
     def __post_init__(self) -> None:
         check_parameters(self)

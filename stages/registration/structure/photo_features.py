@@ -1,4 +1,10 @@
-"""SIFT features of photos."""
+"""SIFT features of photos.
+
+References
+----------
+Mikolajczyk and Schmid, "Scale & affine invariant interest point detectors", 2004; Dong and Soatto,
+"Domain-size pooling in local descriptors: DSP-SIFT", 2015. Both are pycolmap's.
+"""
 
 from __future__ import annotations
 
@@ -8,12 +14,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from scanloom.stages.frames.features import detect_keypoints
+from scanloom.stages.frames.features import Keypoints, detect_keypoints, stretch_contrast
 from scanloom.stages.scans.model.images import read_color, read_mask
 from scanloom.stages.scans.model.scan import Camera, Frame
 
 # Features per photo. Descriptors of all photos are in memory, 128 bytes each.
 _MAX_FEATURES = 5000
+# The same with affine shapes: the number counts features before several orientations and scales of each.
+_MAX_AFFINE_FEATURES = 4000
 # Contrast threshold of SIFT, lower than its default: smooth surfaces have no stronger features.
 _CONTRAST = 0.02
 
@@ -36,12 +44,14 @@ class PhotoFeatures:
     colors: NDArray[np.uint8]
 
 
-def detect_photo_features(frame: Frame, max_pixels: float) -> PhotoFeatures:
+def detect_photo_features(frame: Frame, max_pixels: float, *, has_affine_shapes: bool) -> PhotoFeatures:
     """Detect the features of a photo, outside of its mask only.
 
     Parameters
     ----------
     max_pixels : larger photos are downscaled to this number of pixels first.
+    has_affine_shapes : estimate the affine shapes of features, and pool their descriptors over scales. Such
+        features match over larger differences in viewing direction, and take about five times as long.
 
     Raises
     ------
@@ -57,8 +67,11 @@ def detect_photo_features(frame: Frame, max_pixels: float) -> PhotoFeatures:
     size = max(1, round(width * scale)), max(1, round(height * scale))
     if size != (width, height):
         color = np.asarray(cv2.resize(color, size, interpolation=cv2.INTER_AREA), np.uint8)
-    found = detect_keypoints(
-        np.asarray(cv2.cvtColor(color, cv2.COLOR_RGB2GRAY), np.uint8), _MAX_FEATURES, contrast=_CONTRAST
+    grey = np.asarray(cv2.cvtColor(color, cv2.COLOR_RGB2GRAY), np.uint8)
+    found = (
+        _detect_affine_keypoints(grey)
+        if has_affine_shapes
+        else detect_keypoints(grey, _MAX_FEATURES, contrast=_CONTRAST)
     )
     order = np.argsort(-found.strength, kind="stable")
     pixels = found.pixels[order].astype(np.float64)
@@ -74,4 +87,23 @@ def detect_photo_features(frame: Frame, max_pixels: float) -> PhotoFeatures:
         full[kept],
         np.ascontiguousarray(found.descriptors[order][kept]),
         color[rows, columns][kept],
+    )
+
+
+def _detect_affine_keypoints(grey: NDArray[np.uint8]) -> Keypoints:
+    import pycolmap
+
+    options = pycolmap.FeatureExtractionOptions()
+    options.use_gpu, options.num_threads = False, 1
+    options.sift.max_num_features = _MAX_AFFINE_FEATURES
+    options.sift.estimate_affine_shape = options.sift.domain_size_pooling = True
+    # Matching converts descriptors of unit length to RootSIFT.
+    options.sift.normalization = pycolmap.Normalization.L2
+    extractor = pycolmap.FeatureExtractor.create(options)
+    found, descriptors = extractor.extract(pycolmap.Bitmap.from_array(stretch_contrast(grey)))
+    return Keypoints(
+        # Pixel centres of COLMAP are at 0.5.
+        np.array([(one.x - 0.5, one.y - 0.5) for one in found], np.float32).reshape(-1, 2),
+        np.array(descriptors.data, np.uint8).reshape(-1, 128),
+        np.array([one.compute_scale() for one in found], np.float32),
     )

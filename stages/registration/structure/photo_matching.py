@@ -62,9 +62,13 @@ def select_candidate_pairs(photos: Sequence[PhotoFeatures], progress: Progress) 
 
 
 def match_photos(
-    photos: Sequence[PhotoFeatures], pairs: Sequence[tuple[int, int]]
+    photos: Sequence[PhotoFeatures], pairs: Sequence[tuple[int, int]], max_ratio: float
 ) -> Iterator[tuple[tuple[int, int], NDArray[np.int64]]]:
     """Match the features of pairs of photos.
+
+    Parameters
+    ----------
+    max_ratio : maximum ratio of the distances of the best and the second-best match.
 
     Yields
     ------
@@ -74,7 +78,7 @@ def match_photos(
 
     def match_pair(pair: tuple[int, int]) -> NDArray[np.int64]:
         first, second = (photos[index].descriptors for index in pair)
-        return match_descriptors(first, second)
+        return match_descriptors(first, second, max_ratio=max_ratio)
 
     yield from zip(
         pairs, map_ordered(match_pair, pairs, threads=threads, max_pending=2 * threads), strict=True

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -35,18 +36,22 @@ from scanloom.stages.registration.structure.photo_matching import match_photos, 
 from scanloom.stages.scans.model.depth_range import estimate_depth_range
 from scanloom.stages.scans.model.poses import invert_pose
 from scanloom.stages.scans.model.prefetch import get_worker_count, map_ordered
-from scanloom.stages.scans.model.scan import Camera, Frame, Scan, SkippedFrame
+from scanloom.stages.scans.model.scan import Camera, Frame, Pose, Scan, SkippedFrame
 
 if TYPE_CHECKING:
     from typing_extensions import Unpack
 
     from scanloom.stages.params.keywords import StructureKeywords
 
-RESULT_VERSION = 1
+RESULT_VERSION = 2
 
 _MIN_PHOTOS = 3
+# Progress per photo: features, selection of pairs, matches, mapping.
+_STEPS = 4
 # Maximum number of photos and groups that a message names.
 _MAX_NAMES, _MAX_GROUPS = 12, 4
+# Photos with fewer features hardly connect.
+_MIN_FEATURES = 200
 _ADVICE = (
     "Take photos that overlap by two thirds, of surfaces with texture, from positions that differ by at most "
     "20° as seen from the scene."
@@ -60,7 +65,7 @@ class Structure:
     Attributes
     ----------
     frames : photos of the largest group, with pose, camera with distortion, and depth range. World and unit
-        are arbitrary.
+        are arbitrary, unless some photos had poses.
     frame_indices : indices of these photos in the scan.
     other_groups : names of the photos of each other group; its poses are not related to those of `frames`.
     unconnected : names of the photos without a pose in any group.
@@ -134,8 +139,10 @@ def reconstruct_cameras(
 
     SIFT features are matched between photos, and the cameras are estimated incrementally, with bundle
     adjustment. All pairs of up to 25 photos are matched, of more photos the 24 most similar partners of each.
-    Photos with the same camera (size and start value of the intrinsics) share its refined focal length and
-    distortion; the principal point is the centre. Existing poses are ignored.
+    If less than 90 % of the photos connect, features with affine shapes are tried, too. Photos with the same
+    camera (size and start value of the intrinsics) share its refined focal length and distortion; the
+    principal point is the centre. If two or more photos have poses, these poses and their cameras are kept,
+    and the other photos are added.
 
     Equal photos give bit-identical results on one machine, for any number of threads. Other processors may
     round differently, because pycolmap uses other instructions there.
@@ -145,7 +152,7 @@ def reconstruct_cameras(
     scan : photos with a camera as start value; `Camera.is_guess` marks a focal length without evidence.
     params : StructureParams; single fields can be passed by name instead.
     progress : called with the number of finished steps and of all steps: per photo one for features, two for
-        matches and one for mapping.
+        matches and one for mapping; twice as many if features with affine shapes are tried.
 
     Returns
     -------
@@ -170,12 +177,53 @@ def reconstruct_cameras(
     return replace(found, diagnostics=tuple(diagnostics), seconds=time.perf_counter() - began)
 
 
+@dataclass(frozen=True)
+class _MatchingMethod:
+    """Features, and the requirements of their matches.
+
+    Attributes
+    ----------
+    has_affine_shapes : see `detect_photo_features`.
+    max_ratio : maximum ratio of the distances of the best and the second-best match.
+    min_inlier_ratio : minimum ratio of the matches of a pair that agree with one camera motion.
+    """
+
+    has_affine_shapes: bool
+    max_ratio: float
+    min_inlier_ratio: float
+
+
+# The second method connects photos from more different directions. It is slower, and its matches have more
+# outliers: fewer than a quarter of inliers may agree by chance.
+_METHODS = (
+    _MatchingMethod(has_affine_shapes=False, max_ratio=0.8, min_inlier_ratio=0.0),
+    _MatchingMethod(has_affine_shapes=True, max_ratio=0.9, min_inlier_ratio=0.25),
+)
+# Ratio of the photos in the largest group at which the second method is not tried.
+_CONNECTED_RATIO = 0.9
+
+
+@dataclass(frozen=True, eq=False)
+class _Attempt:
+    """Models of photos by one method."""
+
+    features: Sequence[PhotoFeatures]
+    candidate_pairs: int
+    pairs: VerifiedPairs
+    models: Sequence[ColmapModel]
+
+    @property
+    def photo_count(self) -> int:
+        """Number of photos in the largest model."""
+        return self.models[0].num_reg_images() if self.models else 0
+
+
 def _reconstruct(scan: Scan | Sequence[Frame], params: StructureParams, progress: Progress) -> Structure:
     frames = list(scan.frames if isinstance(scan, Scan) else scan)
     folder = scan.folder if isinstance(scan, Scan) else None
-    total = 4 * len(frames)
     max_pixels = 1e6 * params.max_megapixels
-    photos, skipped = _detect_features(frames, max_pixels, lambda done: progress(done, total))
+    total = _STEPS * len(frames)
+    photos, skipped = _detect_features(frames, max_pixels, _METHODS[0], lambda done: progress(done, total))
     usable = [index for index, photo in enumerate(photos) if photo is not None]
     if len(usable) < _MIN_PHOTOS:
         raise InputError(
@@ -187,43 +235,88 @@ def _reconstruct(scan: Scan | Sequence[Frame], params: StructureParams, progress
             reason=f" ({skipped[0].name}: {skipped[0].reason})" if skipped else "",
             minimum=_MIN_PHOTOS,
         )
+    names = [frames[index].name for index in usable]
+    files = _make_image_names(frames, folder)
+    images = [(index + 1, files[index]) for index in usable]
     features = [photo for photo in photos if photo is not None]
-    done = len(frames)
-    candidates = select_candidate_pairs(features, lambda row, _: progress(done + row, total))
+    poses = _list_known_poses([frames[index] for index in usable])
+    best = _attempt(features, images, poses, _METHODS[0], max_pixels, len(frames), progress)
+    if best.photo_count < _CONNECTED_RATIO * len(usable):
+
+        def report(done: int, total: int) -> object:
+            return progress(total + done, 2 * total)
+
+        again, _ = _detect_features(
+            [frames[index] for index in usable], max_pixels, _METHODS[1], lambda done: report(done, total)
+        )
+        features = [photo for photo in again if photo is not None]
+        if len(features) == len(usable):
+            second = _attempt(features, images, poses, _METHODS[1], max_pixels, len(frames), report)
+            best = max(best, second, key=lambda one: (one.photo_count, len(one.pairs)))
+    if not best.models:
+        raise _make_not_connected_error(names, best.pairs, folder, _describe_weak_photos(best.features))
+    structure = _make_structure(frames, usable, best, poses, tuple(skipped))
+    _warn_left_out(structure, names)
+    return structure
+
+
+def _list_known_poses(frames: Sequence[Frame]) -> dict[int, Pose]:
+    """Return the known poses, camera from world, by index; none if fewer than two photos have a pose."""
+    poses = {
+        index: invert_pose(frame.world_from_camera)
+        for index, frame in enumerate(frames)
+        if frame.world_from_camera is not None
+    }
+    return poses if len(poses) > 1 else {}
+
+
+def _attempt(
+    features: Sequence[PhotoFeatures],
+    images: Sequence[tuple[int, str]],
+    poses: Mapping[int, Pose],
+    method: _MatchingMethod,
+    max_pixels: float,
+    photo_count: int,
+    progress: Progress,
+) -> _Attempt:
+    """Match photos, and compute models.
+
+    Parameters
+    ----------
+    images : ID and unique name of the image of each photo.
+    poses : known poses, camera from world, by index of the photo.
+    photo_count : number of photos, including those that cannot be read; unit of the progress.
+    """
+    total = _STEPS * photo_count
+    candidates = select_candidate_pairs(features, lambda row, _: progress(photo_count + row, total))
 
     def iterate_matches() -> Iterator[tuple[tuple[int, int], NDArray[np.int64]]]:
-        for number, one in enumerate(match_photos(features, candidates)):
+        for number, one in enumerate(match_photos(features, candidates, method.max_ratio)):
             yield one
-            progress(2 * len(frames) + len(frames) * (number + 1) // len(candidates), total)
+            progress(2 * photo_count + photo_count * (number + 1) // len(candidates), total)
 
-    pairs = verify_matches(features, iterate_matches(), max_pixels)
-    names = [frames[index].name for index in usable]
+    known = {features[index].camera for index in poses}
+    pairs = verify_matches(features, iterate_matches(), max_pixels, method.min_inlier_ratio, known)
     mapped = 0
 
     def report_photo() -> None:
         nonlocal mapped
         mapped += 1
-        progress(min(3 * len(frames) + mapped, total), total)
+        progress(min(3 * photo_count + mapped, total), total)
 
-    files = _make_image_names(frames, folder)
-    images = [(index + 1, files[index]) for index in usable]
-    models = map_photos(features, images, pairs, max_pixels, report_photo) if pairs else []
+    models = map_photos(features, images, pairs, max_pixels, report_photo, poses) if pairs else []
     progress(total, total)
-    if not models:
-        raise _make_not_connected_error(names, pairs, folder)
-    structure = _make_structure(frames, usable, features, models, tuple(skipped), len(candidates), len(pairs))
-    _warn_left_out(structure, len(usable))
-    return structure
+    return _Attempt(features, len(candidates), pairs, models)
 
 
 def _detect_features(
-    frames: Sequence[Frame], max_pixels: float, report: Callable[[int], object]
+    frames: Sequence[Frame], max_pixels: float, method: _MatchingMethod, report: Callable[[int], object]
 ) -> tuple[list[PhotoFeatures | None], list[SkippedFrame]]:
     skipped: list[SkippedFrame] = []
 
     def detect(frame: Frame) -> PhotoFeatures | SkippedFrame:
         try:
-            return detect_photo_features(frame, max_pixels)
+            return detect_photo_features(frame, max_pixels, has_affine_shapes=method.has_affine_shapes)
         except InputError as error:
             return SkippedFrame(frame.name, error.diagnostic)
 
@@ -240,39 +333,42 @@ def _detect_features(
 def _make_image_names(frames: Sequence[Frame], folder: Path | None) -> list[str]:
     """Return unique image names.
 
-    These are paths relative to the scan folder, so that other programs find the images.
+    These are paths relative to the scan folder, or names of files in another folder, so that other programs
+    find the images.
     """
-    names = [
-        frame.color.relative_to(folder).as_posix()
-        if isinstance(frame.color, Path) and folder is not None and frame.color.is_relative_to(folder)
-        else frame.name
-        for frame in frames
-    ]
+
+    def make_name(frame: Frame) -> str:
+        if not isinstance(frame.color, Path):
+            return frame.name
+        if folder is None or not frame.color.is_relative_to(folder):
+            return frame.color.name
+        return frame.color.relative_to(folder).as_posix()
+
+    names = [make_name(frame) for frame in frames]
     return names if len(set(names)) == len(names) else [f"{index:06d}" for index in range(len(names))]
 
 
 def _make_structure(
     frames: Sequence[Frame],
     usable: Sequence[int],
-    features: Sequence[PhotoFeatures],
-    models: Sequence[ColmapModel],
+    attempt: _Attempt,
+    poses: Mapping[int, Pose],
     skipped: tuple[SkippedFrame, ...],
-    candidate_pairs: int,
-    verified_pairs: int,
 ) -> Structure:
-    largest = models[0]
+    largest = attempt.models[0]
+    known = {frames[usable[index]].camera for index in poses}
     indices = sorted(image_id - 1 for image_id in largest.reg_image_ids())
     posed = set(indices)
     others = []
-    for model in models[1:]:
+    for model in attempt.models[1:]:
         group = sorted({image_id - 1 for image_id in model.reg_image_ids()} - posed)
         posed |= set(group)
         if group:
             others.append(tuple(frames[index].name for index in group))
-    points, colors, observed = _collect_points(largest, dict(zip(usable, features, strict=True)))
+    points, colors, observed = _collect_points(largest, dict(zip(usable, attempt.features, strict=True)))
     return Structure(
         frames=tuple(
-            _pose_frame(frames[index], largest, index + 1, points[observed.get(index + 1, [])])
+            _pose_frame(frames[index], largest, index + 1, points[observed.get(index + 1, [])], known)
             for index in indices
         ),
         frame_indices=tuple(indices),
@@ -281,8 +377,8 @@ def _make_structure(
         skipped=skipped,
         points=points,
         colors=colors,
-        candidate_pairs=candidate_pairs,
-        verified_pairs=verified_pairs,
+        candidate_pairs=attempt.candidate_pairs,
+        verified_pairs=len(attempt.pairs),
         reprojection_error_px=float(largest.compute_mean_reprojection_error()),
         model=largest,
     )
@@ -307,24 +403,48 @@ def _collect_points(
     return np.array(points, np.float64).reshape(-1, 3), np.array(colors, np.uint8).reshape(-1, 3), observed
 
 
-def _pose_frame(frame: Frame, model: ColmapModel, image_id: int, points: NDArray[np.float64]) -> Frame:
-    """Return a photo with the pose and camera of the model, and the depth range of its points."""
+def _pose_frame(
+    frame: Frame,
+    model: ColmapModel,
+    image_id: int,
+    points: NDArray[np.float64],
+    known: Collection[Camera],
+) -> Frame:
+    """Return a photo with the pose and camera of the model, and the depth range of its points.
+
+    Parameters
+    ----------
+    known : cameras that were not refined.
+    """
     image = model.image(image_id)
     camera_from_world = np.eye(4)
     camera_from_world[:3] = image.cam_from_world().matrix()
     pose = invert_pose(camera_from_world)
-    camera = model.camera(image.camera_id)
-    focal, cx, cy, k1 = (float(value) for value in camera.params)
-    distortion = (k1, 0.0, 0.0, 0.0) if k1 else ()
+    if frame.world_from_camera is not None and frame.camera in known:
+        # The same to the last bit.
+        pose = frame.world_from_camera
     return replace(
         frame,
-        camera=Camera(camera.width, camera.height, focal, focal, cx - 0.5, cy - 0.5, distortion),
+        camera=frame.camera if frame.camera in known else _convert_refined(model.camera(image.camera_id)),
         world_from_camera=pose,
         depth_range=estimate_depth_range((points - pose[:3, 3]) @ pose[:3, 2]),
     )
 
 
-def _warn_left_out(structure: Structure, usable_count: int) -> None:
+def _convert_refined(camera: Any) -> Camera:
+    """Convert a refined camera of pycolmap."""
+    focal, cx, cy, k1 = (float(value) for value in camera.params)
+    distortion = (k1, 0.0, 0.0, 0.0) if k1 else ()
+    return Camera(camera.width, camera.height, focal, focal, cx - 0.5, cy - 0.5, distortion)
+
+
+def _warn_left_out(structure: Structure, names: Sequence[str]) -> None:
+    """Warn about photos without a pose.
+
+    Parameters
+    ----------
+    names : names of all photos that were read, in order.
+    """
     left_out = [name for group in structure.other_groups for name in group] + list(structure.unconnected)
     if not left_out:
         return
@@ -337,15 +457,34 @@ def _warn_left_out(structure: Structure, usable_count: int) -> None:
         STRUCTURE_PHOTOS_LEFT_OUT.warning(
             "{left_out} of {photos} photos have too few features in common with the others and are not used: "
             "{names}{groups}",
+            remedy="to connect them, take photos between {gaps}",
             left_out=len(left_out),
-            photos=usable_count,
+            photos=len(names),
             names=_join_names(left_out),
             groups=groups,
+            gaps=_describe_gaps(names, set(left_out)),
         )
     )
 
 
-def _make_not_connected_error(names: Sequence[str], pairs: VerifiedPairs, folder: Path | None) -> InputError:
+def _describe_gaps(names: Sequence[str], left_out: Collection[str]) -> str:
+    """Name pairs of consecutive photos of which one has a pose and one has none."""
+    gaps = [f"{a} and {b}" for a, b in itertools.pairwise(names) if (a in left_out) != (b in left_out)]
+    more = f", and {len(gaps) - _MAX_GROUPS} more" if len(gaps) > _MAX_GROUPS else ""
+    return ", ".join(gaps[:_MAX_GROUPS]) + more
+
+
+def _describe_weak_photos(photos: Sequence[PhotoFeatures]) -> str:
+    """Describe photos with few features: blurred, dark or without texture; empty if there are none."""
+    weak = sum(len(photo.pixels) < _MIN_FEATURES for photo in photos)
+    if not weak:
+        return ""
+    return f"{weak} of {len(photos)} photos have few features: they are blurred, dark, or without texture. "
+
+
+def _make_not_connected_error(
+    names: Sequence[str], pairs: VerifiedPairs, folder: Path | None, weak_photos: str
+) -> InputError:
     groups = _find_groups(len(names), pairs)
     named = [[names[index] for index in group] for group in groups]
     connected = [group for group in named if len(group) > 1]
@@ -355,8 +494,9 @@ def _make_not_connected_error(names: Sequence[str], pairs: VerifiedPairs, folder
             "no camera poses can be computed, because no two of the {count} photos have enough features in "
             "common.",
             folder,
-            remedy=_ADVICE,
+            remedy="{weak_photos}" + _ADVICE,
             count=len(names),
+            weak_photos=weak_photos,
         )
     alone = [group[0] for group in named if len(group) == 1]
     if len(connected[0]) < _MIN_PHOTOS:
@@ -367,7 +507,8 @@ def _make_not_connected_error(names: Sequence[str], pairs: VerifiedPairs, folder
         STRUCTURE_NOT_CONNECTED,
         "no camera poses can be computed, because {reason}. {groups}{alone}.",
         folder,
-        remedy=_ADVICE,
+        remedy="{weak_photos}" + _ADVICE,
+        weak_photos=weak_photos,
         reason=reason,
         groups=_describe_groups(connected),
         alone=f"; without a partner: {_join_names(alone)}" if alone else "",

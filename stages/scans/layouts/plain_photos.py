@@ -99,13 +99,13 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
 
 def _create_frame(file: Path, stated: Camera | None) -> Frame | SkippedFrame:
     try:
-        camera, mask = _choose_camera(file, stated), find_transparency_mask(file)
+        camera, mask = choose_camera(file, stated), find_transparency_mask(file)
         return Frame(file.stem, camera, color=file, mask=mask)
     except InputError as error:
         return SkippedFrame(file.stem, error.diagnostic)
 
 
-def _choose_camera(file: Path, stated: Camera | None) -> Camera:
+def choose_camera(file: Path, stated: Camera | None) -> Camera:
     """Return the start value of the camera: from the user, from EXIF, or a guess."""
     size = width, height = read_image_size(file)
     if stated is not None:
@@ -115,9 +115,14 @@ def _choose_camera(file: Path, stated: Camera | None) -> Camera:
             else scale_to_size(stated, size, "the photo", file)
         )
     focal = _read_exif_focal(file, width, height)
-    is_guess = focal is None
-    focal = focal or _DEFAULT_FOCAL_RATIO * max(size)
-    return Camera(width, height, focal, focal, (width - 1) / 2, (height - 1) / 2, is_guess=is_guess)
+    guess = guess_camera(width, height)
+    return guess if focal is None else replace(guess, fx=focal, fy=focal, is_guess=False)
+
+
+def guess_camera(width: int, height: int) -> Camera:
+    """Guess the camera of a photo without evidence of the focal length."""
+    focal = _DEFAULT_FOCAL_RATIO * max(width, height)
+    return Camera(width, height, focal, focal, (width - 1) / 2, (height - 1) / 2, is_guess=True)
 
 
 def _read_exif_focal(file: Path, width: int, height: int) -> float | None:

@@ -91,6 +91,11 @@ class ReadingParams:
         False,
         "Rotate the world by the axisAlignment in ScanNet's scene*.txt: walls become parallel to the axes.",
     )
+    keep_unposed: bool = param(
+        False,
+        "Keep photos without a pose in a scan with poses, and add photos of the same folder that are not "
+        "listed; `run` estimates the missing poses.",
+    )
     check_poses: bool = param(
         True,
         "Stop if the depth of the frames is clearly more consistent with another pose convention: "

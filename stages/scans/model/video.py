@@ -5,6 +5,8 @@ Frames are decoded in sequence, because timestamps in containers are unreliable.
 
 from __future__ import annotations
 
+import math
+import os
 import threading
 from collections import OrderedDict
 from pathlib import Path
@@ -23,12 +25,17 @@ from scanloom.stages.scans.model.scan import ColorImage
 _DECODED_BYTES = 1 << 27
 # Images that a decoder holds: up to 16 reference pictures, and some in its pipeline.
 _DECODER_IMAGES = 20
-# First box types of MP4 and QuickTime. FFmpeg also reads playlists, which could make it open other files.
+# Suffixes and first bytes of containers: box types of MP4 and QuickTime; AVI, Matroska, ASF and MPEG. Other
+# files are refused, because FFmpeg also reads playlists, which could make FFmpeg open further files.
+VIDEO_SUFFIXES = (".mp4", ".mov", ".m4v", ".3gp", ".avi", ".mkv", ".webm", ".wmv", ".mpg", ".mpeg")
 _FIRST_BOX_TYPES = (b"ftyp", b"moov", b"mdat", b"wide", b"free", b"skip")
+_STARTS = (b"RIFF", b"\x1aE\xdf\xa3", b"0&\xb2u\x8ef\xcf\x11", b"\x00\x00\x01\xba")
+# AV_LOG_QUIET.
+_FFMPEG_QUIET = "-8"
 
 
 class Video:
-    """Frames of an MP4 or QuickTime file, as stored: rotation metadata is ignored.
+    """Frames of a video file.
 
     Thread-safe. A request for an earlier frame that is no longer in memory decodes from the start.
 
@@ -37,10 +44,15 @@ class Video:
     path : video file.
     width, height : pixels.
     frame_count : number of frames that the header states; 0 if unknown.
+    frame_rate : frames per second that the header states; 0 if unknown.
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, *, apply_rotation: bool = False) -> None:
         """Open a video.
+
+        Parameters
+        ----------
+        apply_rotation : rotate frames as the metadata states; otherwise, frames are as stored.
 
         Raises
         ------
@@ -48,6 +60,7 @@ class Video:
             If the file is not a video, or its image size is implausible.
         """
         self.path = path
+        self._apply_rotation = apply_rotation
         self._lock = threading.Lock()
         self._open()
         import cv2
@@ -65,6 +78,8 @@ class Video:
                 height=self.height,
             )
         self.frame_count = max(count, 0)
+        rate = float(self._capture.get(cv2.CAP_PROP_FPS))
+        self.frame_rate = rate if 0 < rate < math.inf else 0.0
         self._decoded: OrderedDict[int, ColorImage] = OrderedDict()
         self._max_decoded = max(2, _DECODED_BYTES // (3 * self.width * self.height))
         self._end: int | None = None
@@ -83,6 +98,14 @@ class Video:
                     self._open()
                 self._decode_to(number)
             return np.array(self._decoded[number], np.uint8)
+
+    def count_frames(self, max_count: int) -> int:
+        """Count the frames by decoding, up to a maximum."""
+        with self._lock:
+            self._open()
+            while self._next < max_count and self._capture.grab():
+                self._next += 1
+            return self._next
 
     def _decode_to(self, number: int) -> None:
         import cv2
@@ -131,12 +154,15 @@ class Video:
                 self.path,
                 strerror=error.strerror,
             ) from error
-        if start[4:] not in _FIRST_BOX_TYPES:
+        if start[4:] not in _FIRST_BOX_TYPES and not start.startswith(_STARTS):
             raise InputError(
                 RECORDING_DAMAGED,
-                "this is not an MP4 or QuickTime video, or its header is damaged.",
+                "this is not a video, or its header is damaged.",
                 self.path,
             )
+        # Failures are reported by the error; FFmpeg reads its log level from the environment.
+        os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", _FFMPEG_QUIET)
+        cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
         self._capture: Any = cv2.VideoCapture(str(self.path), cv2.CAP_FFMPEG)
         self._next = 0
         if not self._capture.isOpened():
@@ -147,4 +173,4 @@ class Video:
                 self.path,
                 remedy="Copy it again.",
             )
-        self._capture.set(cv2.CAP_PROP_ORIENTATION_AUTO, 0)
+        self._capture.set(cv2.CAP_PROP_ORIENTATION_AUTO, int(self._apply_rotation))

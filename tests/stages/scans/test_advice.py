@@ -62,12 +62,14 @@ def test_photos_without_poses_become_a_scan_by_colmap(tmp_path: Path, tiny, fold
     assert [frame.name for frame in read_scan(tmp_path).frames] == ["a", "b"]
 
 
-def test_a_video_becomes_a_scan(tmp_path: Path, tiny, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_video_of_an_unsupported_format_becomes_a_scan(
+    tmp_path: Path, tiny, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "room.mp4").write_bytes(b"\0\0\0\x18ftypmp42")
-    (extract,) = commands(refusal(Path("room.mp4")))
+    (tmp_path / "room.mts").write_bytes(b"G@\x11\x10")
+    (extract,) = commands(refusal(Path("room.mts")))
     words = shlex.split(extract)
-    assert words[:3] == ["ffmpeg", "-i", "room.mp4"]
+    assert words[:3] == ["ffmpeg", "-i", "room.mts"]
     for number in (1, 2, 3):
         tiny.color(Path(words[-1].replace("%05d.jpg", f"{number:05}.png")))
     scan = read_scan(Path("room"), complete=False)
@@ -154,3 +156,19 @@ def test_depth_under_an_unknown_name_becomes_a_scan(tmp_path: Path, tiny) -> Non
     (tmp_path / "kinect_d").rename(tmp_path / "depth")
     scan = read_scan(tmp_path, ScanParams(intrinsics=tiny.option), complete=False)
     assert (len(scan.frames), scan.is_stereo) == (2, False)
+
+
+@pytest.mark.parametrize("place", ["images", "."])
+def test_photos_of_phones_in_heic_are_converted(tmp_path: Path, tiny, place: str) -> None:
+    photos = tmp_path / "walk" / place
+    photos.mkdir(parents=True, exist_ok=True)
+    for number in range(3):
+        (photos / f"IMG_{number}.HEIC").write_bytes(b"\0\0\0\x18ftypheic")
+    text = refusal(tmp_path / "walk")
+    assert "3 photos in a format that is not supported (.HEIC)" in text
+    (convert,) = commands(text)
+    assert convert.endswith(f"{photos.name}/*.HEIC")
+    for number in range(3):
+        tiny.color(photos / f"IMG_{number}.png")
+    scan = read_scan(tmp_path / "walk", complete=False)
+    assert (scan.layout, len(scan.frames)) == ("photos", 3)

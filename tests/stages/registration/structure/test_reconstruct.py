@@ -6,12 +6,14 @@ import sys
 from dataclasses import replace
 from functools import cache
 
+import cv2
 import numpy as np
 import posed_scene
 import pytest
 from browsers import skip_missing_tool
 
 from scanloom.stages.diagnostics.errors import InputError, UsageError
+from scanloom.stages.registration.structure import reconstruct
 from scanloom.stages.registration.structure.reconstruct import Structure, reconstruct_cameras
 from scanloom.stages.scans.layouts.colmap.model_files import read_model
 from scanloom.stages.scans.model.scan import Camera, Frame, Scan
@@ -46,6 +48,16 @@ def make_photos() -> tuple[Frame, ...]:
 
 def make_unposed() -> list[Frame]:
     return [replace(frame, world_from_camera=None, camera=GUESS) for frame in make_photos()]
+
+
+def make_wide_photos() -> list[Frame]:
+    """Render photos 30 degrees apart, in which few features without affine shapes match."""
+    frames = []
+    for number in range(5):
+        distance = posed_scene.DISTANCE * (0.75, 1.0)[number % 2]
+        image, _ = posed_scene.render_view(posed_scene.pose(30.0 * (number - 2), 0, distance), CAMERA)
+        frames.append(Frame(f"{number:04d}", GUESS, color=image))
+    return frames
 
 
 def make_noise_photos(count: int) -> list[Frame]:
@@ -142,7 +154,9 @@ def test_photos_of_another_scene_are_named(tmp_path):
     (warning,) = [one for one in found.diagnostics if one.code == "structure.photos-left-out"]
     assert "2 of 7 photos" in warning.message
     assert "noise0, noise1" in warning.message
-    assert steps[-1] == (32, 32)
+    assert str(warning).endswith("take photos between noise1 and 0000")
+    # Both kinds of features are tried.
+    assert steps[-1] == (64, 64)
     assert steps == sorted(steps)
 
 
@@ -170,10 +184,37 @@ def test_photos_from_one_position_are_refused_with_the_groups():
     assert "same0, same1, same2; without a partner: noise0" in str(caught.value)
 
 
+def test_photos_from_different_directions_connect_by_affine_shapes(monkeypatch):
+    photos = make_wide_photos()
+    assert len(reconstruct_cameras(photos).frames) == 5
+    monkeypatch.setattr(reconstruct, "_CONNECTED_RATIO", 0.0)
+    assert len(reconstruct_cameras(photos).frames) < 5
+
+
 def test_masked_pixels_have_no_features():
     mask = np.zeros((240, 320), np.uint8)
-    with pytest.raises(InputError, match="no two of the 3 photos"):
+    few = "no two of the 3 photos .* 3 of 3 photos have few features: they are blurred"
+    with pytest.raises(InputError, match=few):
         reconstruct_cameras([replace(frame, mask=mask) for frame in make_unposed()[:3]])
+
+
+def test_blurred_photos_are_refused_with_the_reason():
+    photos = [replace(frame, color=cv2.GaussianBlur(frame.color, (0, 0), 12)) for frame in make_unposed()]
+    with pytest.raises(InputError, match="8 of 8 photos have few features: they are blurred"):
+        reconstruct_cameras(photos)
+
+
+def test_portrait_and_landscape_photos_of_one_scene_connect():
+    portrait = Camera(240, 320, 360.0, 360.0, 119.5, 159.5, is_guess=True)
+    photos = [
+        replace(frame, color=np.ascontiguousarray(np.rot90(frame.color)), camera=portrait)
+        if number % 2
+        else frame
+        for number, frame in enumerate(make_unposed())
+    ]
+    found = reconstruct_cameras(photos)
+    assert len(found.frames) == COUNT
+    assert [one["size_px"] for one in found.to_dict()["cameras"]] == [[320, 240], [240, 320]]
 
 
 def test_two_photos_are_too_few():
@@ -220,3 +261,24 @@ def test_cameras_of_other_sizes_are_not_shared():
     found = reconstruct_cameras(mixed)
     assert len(found.frames) == COUNT
     assert [one["photos"] for one in found.to_dict()["cameras"]] == [4, 4]
+
+
+def test_photos_without_poses_are_added_to_those_with_poses():
+    # Known cameras, with distortion coefficients that are zero but stored.
+    known = replace(CAMERA, distortion=(1e-9, 0.0, 0.0, 0.0))
+    photos = [
+        replace(frame, camera=known, world_from_camera=None if number in (2, 5) else frame.world_from_camera)
+        for number, frame in enumerate(make_photos())
+    ]
+    # A photo of another device: its focal length is refined.
+    photos[5] = replace(photos[5], camera=GUESS)
+    found = reconstruct_cameras(photos)
+    assert found.frame_indices == tuple(range(COUNT))
+    for frame, true in zip(found.frames, make_photos(), strict=True):
+        difference = np.linalg.inv(true.world_from_camera) @ frame.world_from_camera
+        # In the world and the unit of the known poses, which are kept.
+        is_known = frame.name not in ("0002", "0005")
+        assert np.linalg.norm(difference[:3, 3]) <= (1e-12 if is_known else 0.01 * posed_scene.DISTANCE)
+        assert np.degrees(np.arccos(np.clip((np.trace(difference[:3, :3]) - 1) / 2, -1, 1))) < 0.5
+    assert {frame.camera for frame in found.frames} == {known, found.frames[5].camera}
+    assert abs(found.frames[5].camera.fx / CAMERA.fx - 1) < 0.02
