@@ -67,7 +67,7 @@ def fuse_views(
         (view.compute_projection_to(other), other.compute_projection_to(view), measured, trust)
         for other, measured, trust in others
     ]
-    fused, sums, counts = _kernels.fuse_depth_maps(
+    fused, (confirming, contradicting), (nearly, consistent) = _kernels.fuse_depth_maps(
         depth, confidence, maps, tolerances=(tolerance, loose_tolerance), wanted_threads=threads
     )
-    return FusedDepth(fused, *sums, *counts)
+    return FusedDepth(fused, confirming, contradicting, nearly, consistent)

@@ -444,7 +444,7 @@ def _mask_foreign_depth(
     trusted = trusted & (fused > 0)
     if np.count_nonzero(agrees & trusted) >= _MIN_OWN_RATIO * np.count_nonzero(trusted):
         return np.zeros(own.shape, bool)
-    return ~agrees
+    return np.asarray(~agrees)
 
 
 def _crop_to_box(depth: DepthImage, view: PosedView, box: NDArray[np.float64] | None) -> DepthImage:
