@@ -58,6 +58,7 @@ __all__ = [
     "find_planar_patches",
     "find_touched_blocks",
     "fit",
+    "fuse_depth_maps",
     "is_inside_all_masks",
     "label_components",
     "lay_out_atlas",
@@ -833,6 +834,28 @@ def count_unoccluded_views(
 
     A point counts as unoccluded if the depth of the view is more than `min_depth_ratio` times
     the point's depth.
+    """
+
+def fuse_depth_maps(
+    depth: NDArray[np.float32],
+    confidence: NDArray[np.uint8],
+    others: Sequence[tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float32], NDArray[np.uint8]]],
+    *,
+    tolerances: tuple[float, float],
+    wanted_threads: int,
+) -> tuple[NDArray[np.float32], list[NDArray[np.uint16]], list[NDArray[np.uint8]]]:
+    """Fuse a depth map with the maps of other views, by the confidence that agrees with each depth.
+
+    Parameters
+    ----------
+    depth : 0 where missing.
+    others : projections into the other view and back, as in `count_consistent_views`, depth, and confidence.
+    tolerances : relative, for averaging and for agreement.
+
+    Returns
+    -------
+    Depth; sums of the confidences of other views that confirm the depth, and of those that see past it;
+    number of confirming views within the wide and the narrow tolerance.
     """
 
 def find_hull_entry(

@@ -1,4 +1,4 @@
-"""Confidence of swept depth as a probability, from sweep and cross-view indicators."""
+"""Confidence of swept and of fused depth as a probability, from sweep and cross-view indicators."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from scanloom.stages.scans.model.scan import DepthImage
 from scanloom.stages.stereo.background import sum_gradients
 from scanloom.stages.stereo.plane_sweep import HALF_MARGIN
 from scanloom.stages.stereo.view_consistency import ViewSupport
+from scanloom.stages.stereo.view_fusion import FusedDepth
 
 Map = NDArray[np.float32]
 
@@ -25,6 +26,16 @@ _WEIGHTS = {
     "agreeing of open": (0.373, 0.0),
     "nearly agreeing of looking": (2.328, 0.0),
 }
+# The same for depth fused with other views.
+_FUSED_BIAS = -0.667
+_FUSED_WEIGHTS = {
+    "confirming": (3.014, 0.363),
+    "contradicting": (-0.827, 0.056),
+    "texture": (0.616, -0.182),
+    "textured around": (0.184, 0.030),
+    "spread": (-0.215, -0.018),
+    "consistent": (-0.696, 0.007),
+}
 # Windows for margins, texture and spread, px.
 _MARGIN_WINDOW, _TEXTURE_WINDOW, _SPREAD_WINDOW = 9, 15, 5
 # Window for one-sided texture, px: the minimum over all windows that contain the pixel. Next to an edge it is
@@ -38,6 +49,8 @@ _MIN_OBJECT_TEXTURE = 2.0
 # information.
 _MAX_TEXTURE = 3.0
 _MAX_SPREAD = 0.5
+# Clipping limit of the number of consistent views.
+_MAX_CONSISTENT = 12
 # Number of aggregation paths, and clipping limit of the cost margin.
 _PATH_COUNT = 8
 _MAX_MARGIN = 3000.0
@@ -66,10 +79,49 @@ def compute_sweep_confidence(
     (h, w) uint8, 255 times the probability that depth is right within 5 %; 0 where missing.
     """
     indicators = _compute_indicators(depth, distinctness, grey, support, is_outlined)
-    logit = np.full(depth.shape, np.float32(_BIAS))
-    for name, (weight, weight_squared) in _WEIGHTS.items():
+    return _compute_probability(depth, indicators, _BIAS, _WEIGHTS)
+
+
+def compute_fused_confidence(
+    fused: FusedDepth, grey: NDArray[np.uint8], is_outlined: bool = False
+) -> NDArray[np.uint8]:
+    """Compute the confidence of fused depth; parameters and result as in `compute_sweep_confidence`."""
+    indicators = _compute_fused_indicators(fused, grey, is_outlined)
+    return _compute_probability(fused.depth, indicators, _FUSED_BIAS, _FUSED_WEIGHTS)
+
+
+def _compute_probability(
+    depth: DepthImage, indicators: dict[str, Map], bias: float, weights: dict[str, tuple[float, float]]
+) -> NDArray[np.uint8]:
+    logit = np.full(depth.shape, np.float32(bias))
+    for name, (weight, weight_squared) in weights.items():
         logit += (np.float32(weight) + np.float32(weight_squared) * indicators[name]) * indicators[name]
     return np.where(depth > 0, np.rint(255 / (1 + np.exp(-logit))), 0).astype(np.uint8)
+
+
+def _compute_fused_indicators(
+    fused: FusedDepth, grey: NDArray[np.uint8], is_outlined: bool
+) -> dict[str, Map]:
+    """Return the indicators of the regression for fused depth by name, (h, w) each."""
+    confirming, contradicting = (
+        np.log1p(sums.astype(np.float32) / np.float32(255))
+        for sums in (fused.confirming, fused.contradicting)
+    )
+    texture, sides = _compute_texture_indicators(grey, is_outlined)
+    return {
+        "confirming": confirming,
+        "contradicting": contradicting,
+        "texture": texture,
+        "textured around": sides,
+        "spread": _compute_depth_spread(fused.depth),
+        "consistent": np.minimum(fused.nearly_consistent, _MAX_CONSISTENT).astype(np.float32),
+    }
+
+
+def _compute_texture_indicators(grey: NDArray[np.uint8], is_outlined: bool) -> list[Map]:
+    """Return log texture around each pixel, and of its plainer side."""
+    least = _MIN_OBJECT_TEXTURE if is_outlined else 0
+    return [np.clip(np.log1p(one), least, _MAX_TEXTURE) for one in _compute_texture(grey)]
 
 
 def _compute_indicators(
@@ -88,8 +140,7 @@ def _compute_indicators(
         / np.maximum(255 - distinctness.astype(np.float32), 0.255)
     )
     margins = np.log1p(np.minimum(margin, _MAX_MARGIN) / _PATH_COUNT).astype(np.float32)
-    least = _MIN_OBJECT_TEXTURE if is_outlined else 0
-    texture, sides = (np.clip(np.log1p(one), least, _MAX_TEXTURE) for one in _compute_texture(grey))
+    texture, sides = _compute_texture_indicators(grey, is_outlined)
     nearly = support.nearly_consistent.astype(np.float32)
     open_, looking = (
         np.maximum(one, 1).astype(np.float32) for one in (support.unoccluded, support.with_depth)

@@ -34,7 +34,7 @@ from scanloom.stages.stereo.coverage import CoverageCounts, report_coverage
 from scanloom.stages.stereo.depth_map import DepthMap
 from scanloom.stages.stereo.depth_map_store import DepthMapStore
 from scanloom.stages.stereo.depth_ranges import assign_depth_ranges, read_stated_ranges, widen_scene_box
-from scanloom.stages.stereo.foreground_masks import crop_to_hull, detect_outline
+from scanloom.stages.stereo.foreground_masks import crop_to_hull, detect_outline, mask_foreground
 from scanloom.stages.stereo.network_depth import fill_missing_depth, load_network
 from scanloom.stages.stereo.opencv_matching import SearchRange
 from scanloom.stages.stereo.params import PAIR_PARAMETERS, SWEEP, DepthParams
@@ -42,10 +42,11 @@ from scanloom.stages.stereo.partner_selection import select_partners
 from scanloom.stages.stereo.plane_filling import fill_from_planes
 from scanloom.stages.stereo.pose_refinement import refine_poses
 from scanloom.stages.stereo.posed_views import PosedView, create_posed_views
-from scanloom.stages.stereo.sweep_confidence import compute_sweep_confidence
+from scanloom.stages.stereo.sweep_confidence import compute_fused_confidence, compute_sweep_confidence
 from scanloom.stages.stereo.triangulation import VerifiedMatches, find_overlapping_pairs, match_views
 from scanloom.stages.stereo.upside_down_correction import rotate_upside_down
-from scanloom.stages.stereo.view_consistency import count_supporting_views
+from scanloom.stages.stereo.view_consistency import ViewSupport, count_supporting_views
+from scanloom.stages.stereo.view_fusion import fuse_views
 from scanloom.stages.stereo.view_images import convert_to_grey, downscale, read_view_color
 from scanloom.stages.stereo.view_matching import make_image_reader, measure_view
 from scanloom.stages.stereo.visual_hull_filling import fill_from_hull
@@ -55,12 +56,14 @@ if TYPE_CHECKING:
 
     from scanloom.stages.params.keywords import DepthKeywords
 
-RESULT_VERSION = 7
+RESULT_VERSION = 8
 
 # Maximum difference of agreeing depth maps, in pixels of disparity.
 _TOLERANCE_PX = 1.0
 # Tolerance of near agreement, relative to the tolerance of agreement.
 _LOOSE_TOLERANCE_FACTOR = 2.5
+# Minimum ratio of fused depth that a view measured itself. Other views give it no depth otherwise.
+_MIN_OWN_RATIO = 0.75
 # Number of views each map is checked against, relative to the number of partners; the best partners first.
 _CHECKED_VIEWS_FACTOR = 2
 # Minimum confidence of swept depth, of 255: right in four of five cases; for an object with known outline one
@@ -83,8 +86,9 @@ def views_depth(
 
     Each view is matched with several partners at once by a plane sweep (see
     scanloom.stages.stereo.plane_sweep). With `views="pairs"`, or a stereo network, it is instead rectified
-    and matched with each partner, and the depth maps are merged. Depth is kept where enough other views
-    agree, and where the resulting confidence is high enough.
+    and matched with each partner, and the depth maps are merged. Swept depth is fused with the maps of other
+    views (see scanloom.stages.stereo.view_fusion). Depth is kept where enough other views agree, and where
+    the resulting confidence is high enough.
 
     Background without texture matches anything and gets no depth. It is detected from masks, else from a
     backdrop around the object in all views (see scanloom.stages.stereo.background), and for pairs also from
@@ -159,6 +163,7 @@ def _measure_views(
         select_partners(views, at, _CHECKED_VIEWS_FACTOR * params.partners) for at in range(len(views))
     ]
     tolerance = params.consistency_tolerance or _derive_tolerance(views, checked_views)
+    loose_tolerance = _LOOSE_TOLERANCE_FACTOR * tolerance
     box = widen_scene_box(scan)
     outline = detect_outline(scan, views, params.max_backdrop_contrast)
     max_depth = max(view.far for view in views)
@@ -170,7 +175,7 @@ def _measure_views(
         params.require_default(PAIR_PARAMETERS, f"depth.views={SWEEP}")
     # Planes are not filled on objects, which are seldom flat and are filled from their hull.
     fills_planes = params.fill_from_planes and sweeps and network is None and not outline.is_known
-    pass_count = 3 if fills_hull or fills_planes else 2
+    pass_count = 2 + sweeps + (fills_hull or fills_planes)
     total = pass_count * len(views)
     min_confidence = params.min_confidence
     if min_confidence is None:
@@ -179,7 +184,7 @@ def _measure_views(
     searches: dict[int, SearchRange] = {}
     counts: dict[int, CoverageCounts] = {}
     with tempfile.TemporaryDirectory(prefix="scanloom-") as folder:
-        kept = DepthMapStore(Path(folder))
+        kept, rated = DepthMapStore(Path(folder)), DepthMapStore(Path(folder) / "rated")
         images = make_image_reader(scan, views, outline)
         measure = partial(
             measure_view, scan, views, checked_views, params, tolerance, outline, stereo_network, images
@@ -201,31 +206,56 @@ def _measure_views(
             shown = np.where(read_valid_pixels(scan.frames[at]), depth, np.float32(0))
             return crop_to_hull(_crop_to_box(shown, views[at], box), views[at], outline.silhouettes)
 
-        def check_view(at: int) -> DepthMap | SkippedFrame:
+        def load_others(at: int) -> Iterator[tuple[PosedView, int]]:
+            return ((views[other], other) for other in checked_views[at] if other not in skipped_views)
+
+        def count_support(at: int, depth: DepthImage) -> ViewSupport:
+            others = ((view, kept.load_depth(other)) for view, other in load_others(at))
+            return count_supporting_views(views[at], depth, others, tolerance, loose_tolerance)
+
+        def rate_view(at: int) -> SkippedFrame | None:
             if at in skipped_views:
                 return skipped_views[at]
             depth = kept.load_depth(at)
-            others = (
-                (views[other], kept.load_depth(other))
-                for other in checked_views[at]
-                if other not in skipped_views
+            try:
+                grey = convert_to_grey(read_view_color(scan.frames[at]))
+            except InputError as error:
+                return _skip_unreadable(scan.frames[at], error)
+            trust = compute_sweep_confidence(
+                depth, kept.load_confidence(at), grey, count_support(at, depth), outline.is_known
             )
+            rated.store(at, depth, trust)
+            return None
+
+        def check_view(at: int) -> DepthMap | SkippedFrame:
+            if at in skipped_views:
+                return skipped_views[at]
             try:
                 color = read_view_color(scan.frames[at])
             except InputError as error:
-                return SkippedFrame(
-                    scan.frames[at].name, error.diagnostic.replace_location_fields(frame=None)
-                )
-            said = count_supporting_views(
-                views[at], depth, others, tolerance, _LOOSE_TOLERANCE_FACTOR * tolerance
-            )
-            trust = kept.load_confidence(at)
-            dropped = (
-                said.nearly_consistent if sweeps and outline.silhouettes else said.consistent
-            ) < params.min_consistent_views
+                return _skip_unreadable(scan.frames[at], error)
             if sweeps:
-                trust = compute_sweep_confidence(depth, trust, convert_to_grey(color), said, outline.is_known)
-                dropped |= trust < min_confidence
+                others = (
+                    (view, rated.load_depth(other), rated.load_confidence(other))
+                    for view, other in load_others(at)
+                )
+                fused = fuse_views(
+                    views[at],
+                    rated.load_depth(at),
+                    rated.load_confidence(at),
+                    others,
+                    tolerance,
+                    loose_tolerance,
+                )
+                foreground, _ = mask_foreground(scan.frames[at], color, outline, params.max_backdrop_contrast)
+                depth = crop_depth(at, np.where(foreground, fused.depth, np.float32(0)))
+                trust = compute_fused_confidence(fused, convert_to_grey(color), outline.is_known)
+                agreeing = fused.nearly_consistent if outline.silhouettes else fused.consistent
+                dropped = (agreeing < params.min_consistent_views) | (trust < min_confidence)
+                dropped |= _mask_foreign_depth(rated.load_depth(at), depth, ~dropped, loose_tolerance)
+            else:
+                depth, trust = kept.load_depth(at), kept.load_confidence(at)
+                dropped = count_support(at, depth).consistent < params.min_consistent_views
             depth[dropped] = 0
             counts[at] = replace(counts[at], consistent=int(np.count_nonzero(depth)))
             found = _make_depth_map(scan.frames[at], views[at], color, depth, trust, searches[at], max_depth)
@@ -237,11 +267,17 @@ def _measure_views(
                 found = replace(whole, depth=inside, filled=filled, diagnostics=tuple(diagnostics))
             return found
 
+        if sweeps:
+            rates = map_ordered(rate_view, range(len(views)), threads=threads, max_pending=threads + 2)
+            for at, unread in enumerate(rates):
+                if unread is not None:
+                    skipped_views[at] = unread
+                progress(len(views) + at + 1, total)
         skipped: list[SkippedFrame] = []
         checked_maps = map_ordered(check_view, range(len(views)), threads=threads, max_pending=threads + 2)
 
         def report_progress(done: int) -> None:
-            progress(len(views) + done, total)
+            progress((pass_count - 2) * len(views) + done, total)
 
         if fills_hull:
             checked_maps = fill_from_hull(
@@ -397,6 +433,20 @@ def _derive_tolerance(views: Sequence[PosedView], partner_candidates: Sequence[S
     return _TOLERANCE_PX * float(np.median(shares)) if shares else math.inf
 
 
+def _mask_foreign_depth(
+    own: DepthImage, fused: DepthImage, trusted: NDArray[np.bool_], tolerance: float
+) -> NDArray[np.bool_]:
+    """Mask fused depth of other views in a view with little depth of its own.
+
+    Such an image shows something else, for example because it is upside down.
+    """
+    agrees = np.abs(own - fused) <= np.float32(tolerance) * fused
+    trusted = trusted & (fused > 0)
+    if np.count_nonzero(agrees & trusted) >= _MIN_OWN_RATIO * np.count_nonzero(trusted):
+        return np.zeros(own.shape, bool)
+    return np.asarray(~agrees)
+
+
 def _crop_to_box(depth: DepthImage, view: PosedView, box: NDArray[np.float64] | None) -> DepthImage:
     """Remove depth outside of the scene box."""
     if box is None:
@@ -408,6 +458,10 @@ def _crop_to_box(depth: DepthImage, view: PosedView, box: NDArray[np.float64] | 
     kept = np.array(depth)
     kept[rows[outside], columns[outside]] = 0
     return kept
+
+
+def _skip_unreadable(frame: Frame, error: InputError) -> SkippedFrame:
+    return SkippedFrame(frame.name, error.diagnostic.replace_location_fields(frame=None))
 
 
 def _make_depth_map(

@@ -273,6 +273,14 @@ def _make_calls(mesh: Mesh, side: int) -> dict[str, Call]:
             min_depth_ratio=0.9,
             wanted_threads=2,
         ),
+        "fuse_depth_maps": partial(
+            kernels.fuse_depth_maps,
+            image[..., 0].astype(np.float32),
+            image[..., 1],
+            [(np.eye(3, 4), np.eye(3, 4), image[..., 0].astype(np.float32), image[..., 1])] * 4,
+            tolerances=(0.01, 0.02),
+            wanted_threads=2,
+        ),
         "find_hull_entry": partial(
             kernels.find_hull_entry,
             image[..., 0] < 9,

@@ -56,6 +56,7 @@ SIDES = {
     "count_consistent_views": 400,
     "is_inside_all_masks": 400,
     "count_unoccluded_views": 400,
+    "fuse_depth_maps": 300,
     "find_hull_entry": 400,
     "compute_weighted_medians": 150,
     "filter_depth": 1000,

@@ -91,6 +91,7 @@ fn _kernels(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(stereo::count_consistent_views, module)?)?;
     module.add_function(wrap_pyfunction!(stereo::is_inside_all_masks, module)?)?;
     module.add_function(wrap_pyfunction!(stereo::count_unoccluded_views, module)?)?;
+    module.add_function(wrap_pyfunction!(stereo::fuse_depth_maps, module)?)?;
     module.add_function(wrap_pyfunction!(stereo::find_hull_entry, module)?)?;
     module.add_function(wrap_pyfunction!(stereo::compute_weighted_medians, module)?)?;
     module.add_function(wrap_pyfunction!(fit::fit, module)?)?;

@@ -14,6 +14,7 @@ use crate::stereo::cost_volume::{DisparityRange, ImageSize, LANES};
 use crate::stereo::cross_view_checks::{OtherView, PixelProjection};
 use crate::stereo::hypothesis_ranges::HypothesisRanges;
 use crate::stereo::plane_sweep::{HullBound, PartnerView, PixelContent, describe_pixels};
+use crate::stereo::visibility_fusion::{FusedPixel, Measurement, OtherDepthMap, Tolerances};
 use crate::stereo::weighted_median::compute_weighted_medians as medians_of;
 
 type RgbArray<'py> = PyReadonlyArray3<'py, u8>;
@@ -175,18 +176,21 @@ pub fn sweep_planes(
 /// Another view: the 3 × 4 projection from pixels into it, and its map.
 type OtherViewArrays<'py, T> = (PyReadonlyArray2<'py, f64>, PyReadonlyArray2<'py, T>);
 
-fn copy_other_view<T: Element + Copy>(given: &OtherViewArrays<'_, T>) -> PyResult<OtherView<T>> {
-    let (matrix, map) = (given.0.as_array(), given.1.as_array());
-    let size = image_size(map.shape())?;
+fn copy_projection(given: &PyReadonlyArray2<'_, f64>) -> PyResult<PixelProjection> {
+    let matrix = given.as_array();
     if *matrix.shape() != [3, 4] {
         return Err(PyValueError::new_err(format!(
             "a matrix has shape {:?}; 3 × 4 is expected",
             matrix.shape()
         )));
     }
-    let from_pixels: PixelProjection =
-        std::array::from_fn(|row| std::array::from_fn(|column| matrix[[row, column]]));
-    Ok(OtherView { from_pixels, size, map: map.iter().copied().collect() })
+    Ok(std::array::from_fn(|row| std::array::from_fn(|column| matrix[[row, column]])))
+}
+
+fn copy_other_view<T: Element + Copy>((matrix, map): &OtherViewArrays<'_, T>) -> PyResult<OtherView<T>> {
+    let map = map.as_array();
+    let size = image_size(map.shape())?;
+    Ok(OtherView { from_pixels: copy_projection(matrix)?, size, map: map.iter().copied().collect() })
 }
 
 /// Count the other views with a consistent depth, within the first and within the second tolerance.
@@ -267,6 +271,68 @@ pub fn count_unoccluded_views(
             )
         });
         image_array(py, size, counts)
+    })
+}
+
+/// Other depth map: the 3 × 4 projections into that view and from it, its depth, and its confidence.
+type OtherMapArrays<'py> =
+    (PyReadonlyArray2<'py, f64>, PyReadonlyArray2<'py, f64>, PyReadonlyArray2<'py, f32>, Grey<'py>);
+/// Fused depth; sums of confidence that confirms and contradicts; numbers of confirming views within the wide
+/// and within the narrow tolerance.
+type FusedArrays = (ImageArray<f32>, [ImageArray<u16>; 2], [ImageArray<u8>; 2]);
+
+fn copy_measurements(depth: &PyReadonlyArray2<'_, f32>, confidence: &Grey<'_>) -> PyResult<Vec<Measurement>> {
+    if depth.as_array().shape() != confidence.as_array().shape() {
+        return Err(PyValueError::new_err("depth and confidence have different sizes"));
+    }
+    Ok(depth.as_array().iter().copied().zip(confidence.as_array().iter().copied()).collect())
+}
+
+/// Fuse a depth map with the maps of other views, by the confidence that agrees with each depth.
+#[pyfunction]
+#[pyo3(signature = (depth, confidence, others, *, tolerances, wanted_threads))]
+pub fn fuse_depth_maps(
+    py: Python<'_>,
+    depth: PyReadonlyArray2<'_, f32>,
+    confidence: Grey<'_>,
+    others: Vec<OtherMapArrays<'_>>,
+    tolerances: [f32; 2],
+    wanted_threads: usize,
+) -> PyResult<FusedArrays> {
+    let size = image_size(depth.as_array().shape())?;
+    let [narrow, wide] = tolerances;
+    // Sums of confidence are of 16 bits, and counts of views of 8 bits.
+    if others.len() > 255 || !(narrow > 0.0 && narrow <= wide && wide.is_finite()) {
+        return Err(PyValueError::new_err(
+            "at most 255 other maps, and finite tolerances 0 < narrow ≤ wide, are expected",
+        ));
+    }
+    let images: usize = others.iter().map(|one| one.2.as_array().len()).sum();
+    // Eight bytes for each measurement and rendered measurement, and 24 for each result.
+    with_memory_reserve((images + (others.len() + 5) * size.pixel_count()) / 24, || {
+        let own = copy_measurements(&depth, &confidence)?;
+        let others = others
+            .iter()
+            .map(|(into, back, depth, confidence)| {
+                let size = image_size(depth.as_array().shape())?;
+                let map = copy_measurements(depth, confidence)?;
+                let view = OtherView { from_pixels: copy_projection(into)?, size, map };
+                Ok(OtherDepthMap { view, back: copy_projection(back)? })
+            })
+            .collect::<PyResult<Vec<_>>>()?;
+        let threads = resolve_thread_count(wanted_threads);
+        let tolerances = Tolerances { narrow, wide };
+        let fused = py.detach(|| {
+            crate::stereo::visibility_fusion::fuse_depth_maps(&own, size, &others, tolerances, threads)
+        });
+        let sums = |value: fn(&FusedPixel) -> u16| image_array(py, size, fused.iter().map(value).collect());
+        let counts =
+            |which: usize| image_array(py, size, fused.iter().map(|one| one.counts[which]).collect());
+        Ok((
+            image_array(py, size, fused.iter().map(|one| one.depth).collect())?,
+            [sums(|one| one.confirming)?, sums(|one| one.contradicting)?],
+            [counts(0)?, counts(1)?],
+        ))
     })
 }
 

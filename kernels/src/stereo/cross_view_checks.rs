@@ -16,7 +16,7 @@ pub struct OtherView<T> {
 impl<T: Copy> OtherView<T> {
     /// Look up the map where the other view sees pixel (u, v) at depth z. Returns the value and the depth
     /// from the other view; None if the point is behind that view or outside its image.
-    fn look_up(&self, u: usize, v: usize, z: f64) -> Option<(T, f64)> {
+    pub fn look_up(&self, u: usize, v: usize, z: f64) -> Option<(T, f64)> {
         let place = [u as f64 * z, v as f64 * z, z];
         let [x, y, ahead] =
             self.from_pixels.map(|row| row[0] * place[0] + row[1] * place[1] + row[2] * place[2] + row[3]);

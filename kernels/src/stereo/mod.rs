@@ -10,6 +10,7 @@
 //! | [`winner_take_all`] | winner-take-all disparity and confidence measures |
 //! | [`hypothesis_ranges`], [`plane_sweep`] | plane sweep over partner views, with a depth range per pixel |
 //! | [`cross_view_checks`] | consistency checks of a depth map with other views |
+//! | [`visibility_fusion`] | fusion of the depth maps of several views |
 //! | [`weighted_median`] | edge-preserving weighted median of disparities |
 //!
 //! Costs are integers, so that results are identical for any thread count and instruction set.
@@ -21,6 +22,7 @@ pub mod hypothesis_ranges;
 pub mod matching_cost;
 pub mod path_aggregation;
 pub mod plane_sweep;
+pub mod visibility_fusion;
 pub mod weighted_median;
 pub mod winner_take_all;
 

@@ -134,7 +134,7 @@ def test_depth_of_a_made_scene() -> None:
 
     results, told = compute_depth_of_scene()
 
-    assert told[-1] == (14, 14)
+    assert told[-1] == (21, 21)
     for (frame, result), given, true in zip(results, scan.frames, truth, strict=True):
         assert isinstance(result, DepthMap)
         assert frame.name == given.name
