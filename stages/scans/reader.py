@@ -325,10 +325,10 @@ def _require_readable(folder: Path, suffixes: Collection[str]) -> None:
     InputError
         If it is neither.
     """
-    if folder.is_file() and folder.suffix.lower() in suffixes:
-        return
     if folder.is_file() and (known := find_unsupported_layout(folder)) is not None:
         raise InputError(SCAN_LAYOUT_UNKNOWN, _describe_unsupported(known), folder)
+    if folder.is_file() and folder.suffix.lower() in suffixes:
+        return
     if not folder.is_dir():
         if not folder.exists():
             raise InputError(FILE_PATH_INVALID, "there is no such folder.", folder)

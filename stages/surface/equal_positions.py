@@ -47,7 +47,7 @@ def _group_equal_keys(keys: NDArray[np.uint64]) -> NDArray[np.int32]:
     is_first = np.ones(len(keys), np.bool_)
     is_first[members] = False
     is_first[members[first]] = True
-    sets = np.cumsum(is_first, dtype=np.int32) - np.int32(1)
+    sets = np.asarray(np.cumsum(is_first) - 1, np.int32)
     sets[members] = sets[members[first]][group.reshape(-1)]
     return sets
 

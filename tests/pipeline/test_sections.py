@@ -66,7 +66,7 @@ configs = st.builds(
         device=st.sampled_from(["cpu", "cuda"]),
         threads=st.integers(1, 10**6),
         color=st.booleans(),
-        name=st.none() | st.text(),
+        name=st.none() | st.text(st.characters(exclude_characters="\0")),
         center=st.none() | st.tuples(*3 * [st.floats(-1e9, 1e9)]),
         bricks=st.builds(BrickParams, size=st.floats(1e-9, 1e9), workers=st.integers(1, 99)),
     ),

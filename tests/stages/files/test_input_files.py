@@ -208,9 +208,6 @@ ALLOWED = {
     "stages/registration/structure/incremental_mapping.py": {"open"},  # a database in memory
     "stages/scans/recordings/db3.py": {"connect"},  # after open_input
     "stages/scans/model/video.py": {"VideoCapture"},  # after open_input
-    "stages/scans/layouts/plain_photos.py": {"Image.open"},  # after read_image_size
-    "stages/registration/structure/incremental_mapping.py": {"open"},  # database in memory
-    "stages/inspecting/kernels_build.py": {"open"},  # library that is imported
     "stages/rendering/video.py": {"open"},  # encoder of a draft
     "pipeline/cache/store.py": {"open"},  # locks and marks of the cache
     "pipeline/cache/posix.py": {"open", "read_text"},  # locks and flushed files; file of the operating system

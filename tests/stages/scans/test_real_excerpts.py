@@ -57,6 +57,7 @@ MADE = {
     "scannet-sens",
     "stray-scanner",
     "tartanair",
+    "video",
 }
 
 

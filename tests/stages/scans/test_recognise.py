@@ -81,15 +81,16 @@ def test_signatures(tmp_path, names, layout):
 
 
 @pytest.mark.parametrize(
-    ("names", "name"),
+    ("names", "content", "name"),
     [
-        (["take.svo2"], "ZED"),
-        (["take.mkv"], "Azure Kinect"),
-        (["take_0.mcap.zstd", "metadata.yaml"], "compressed ROS 2"),
+        (["take.svo2"], b"", "ZED"),
+        (["take.mkv"], b"\x1a\x45\xdf\xa3 matroska K4A_COLOR_MODE", "Azure Kinect"),
+        (["take_0.mcap.zstd", "metadata.yaml"], b"", "compressed ROS 2"),
     ],
 )
-def test_layouts_that_cannot_be_read_are_refused_by_name(tmp_path, names, name):
+def test_layouts_that_cannot_be_read_are_refused_by_name(tmp_path, names, content, name):
     touch(tmp_path, *names)
+    (tmp_path / names[0]).write_bytes(content)
     with pytest.raises(
         InputError, match=f"{re.escape(tmp_path.name)}: this looks like .*{name}.*is not supported"
     ):
