@@ -161,7 +161,7 @@ pub fn find_minimum<const N: usize, const D: usize, const K: usize>(
     others: [&LocalQuadric<K>; N],
     way: &[Lanes<N, f32>; D],
 ) -> EdgeMinimum<N, K> {
-    let load = |value: &dyn Fn(&LocalQuadric<K>) -> f32| Lanes::<N, f32>(others.map(|other| value(other)));
+    let load = |value: &dyn Fn(&LocalQuadric<K>) -> f32| Lanes::<N, f32>(others.map(value));
     let d = [way[0], way[1], way[2]];
     let other_shape: [Lanes<N, f32>; 6] = std::array::from_fn(|i| load(&|other| other.shape[i]));
     let other_area = load(&|other| other.area);
