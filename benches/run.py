@@ -1,9 +1,9 @@
-"""Cost of a whole run by stage, beside an earlier version.
+"""Cost of a whole run by stage, compared with an earlier version.
 
     python benches/run.py DATA [--only NAME ...] [--write FILE] [--before FILE] [--profile]
 
-Runs the samples and three public scans of DATA with default parameters, each without a cache in a process of
-its own. Prints a Markdown table of wall time, processor time of all threads, peak memory, and the size of the
+Runs the samples and three public scans of DATA with default parameters, each without a cache in a separate
+process. Prints a Markdown table of wall time, processor time of all threads, peak memory, and the size of the
 files that a stage places in the output folder. `--write` stores the costs. `--before` reads the costs that an
 earlier version stored, and adds the ratios to them; ratios above 1.2 are bold. `total` includes reading the
 scan and writing the page, and its processor time also the imports.
@@ -122,7 +122,7 @@ def print_profiles(scans: Sequence[Path]) -> None:
 
 
 def run_alone(measure: Callable[[Path], T], scan: Path) -> T:
-    """Measure in a process of its own: the peak memory and the imports of a process are counted once."""
+    """Measure in a separate process: the peak memory and the imports of a process are counted once."""
     with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as pool:
         return pool.submit(measure, scan).result()
 

@@ -38,9 +38,8 @@ computed two at a time, changes are marked at vertices instead of at surrounding
 are compared as integers.
 
 Since then, independent edges collapse in passes, without queue and halfedges, and only the last fiftieth
-is left to the queue. "count" takes about two thirds of the time, at 1,000,000 triangles three fifths. A
-pass works in the order of memory within each quarter of its queue, because most of a collapse is waiting
-for memory otherwise.
+is left to the queue. "count" takes about 70 % of the time. A pass works in the order of memory within
+each quarter of its queue, because most of a collapse is waiting for memory otherwise.
 
 "certified" spends two fifths on watched vertices during collapses, another fifth on the rest of the
 collapses, a quarter on the proof, and the rest on trees, copies and checks. Memory peaks during the proof.

@@ -109,7 +109,7 @@ def detect_moving_object(frames: Sequence[Frame], subject: str, where: Path | No
 def _warn_unmatched(frames: Sequence[Frame], shown: Sequence[int], poses: Mapping[int, Pose]) -> None:
     """Warn if few frames match others on the object.
 
-    Registration by surfaces takes minutes and often fails then, so the user is told before.
+    Registration by surfaces takes minutes and often fails then, so the warning comes before it.
 
     Parameters
     ----------

@@ -81,7 +81,7 @@ def describe_frame_extraction(video: Path) -> str:
 
 
 def describe_unreadable_photos(folder: Path) -> str | None:
-    """Advise on photos in formats that are not decoded (HEIC, raw); None if there are none.
+    """Advise on photos in formats that are not decoded (HEIC, raw); None without such photos.
 
     Parameters
     ----------

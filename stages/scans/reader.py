@@ -94,7 +94,7 @@ def _read_frames(folder: Path, options: ScanParams, *, keep_unposed: bool) -> Sc
 
     Parameters
     ----------
-    keep_unposed : keep photos without a pose beside photos with poses.
+    keep_unposed : keep photos without a pose in a scan with poses.
     """
     folder, layout = _select_layout(folder, options)
     with record_opened_files() as opened_files, collecting(forward=False) as diagnostics:

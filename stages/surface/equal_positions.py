@@ -43,12 +43,13 @@ def _group_equal_keys(keys: NDArray[np.uint64]) -> NDArray[np.int32]:
         return np.arange(len(keys), dtype=np.int32)
     place = np.searchsorted(repeated, keys).clip(max=len(repeated) - 1)
     members = np.flatnonzero(repeated[place] == keys)
-    _, first, group = np.unique(keys[members], return_index=True, return_inverse=True)
+    group = place[members].astype(np.int32)
+    first = members[find_first_members(group)]
     is_first = np.ones(len(keys), np.bool_)
     is_first[members] = False
-    is_first[members[first]] = True
+    is_first[first] = True
     sets = np.asarray(np.cumsum(is_first) - 1, np.int32)
-    sets[members] = sets[members[first]][group.reshape(-1)]
+    sets[members] = sets[first][group]
     return sets
 
 

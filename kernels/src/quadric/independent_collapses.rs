@@ -7,7 +7,7 @@
 //! ```
 //!
 //! The measure is the one of the collapse engine. But there is no queue, no halfedge and no region, and a
-//! quadric is a single cache line. A collapse therefore costs about a third of one in the engine.
+//! quadric is a single cache line, so a collapse is cheaper than in the engine.
 
 use crate::base::errors::KernelError;
 use crate::base::geometry::{Vec3, add_scaled, cross, distance2, position_of, sub};

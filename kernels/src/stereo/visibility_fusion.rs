@@ -111,7 +111,7 @@ fn select_depths(
     row: &mut [FusedPixel],
 ) {
     let first = y * row.len();
-    // Missing depths are infinite, so that they agree with nothing and are in front of nothing.
+    // Missing depths are infinite, so that they neither agree with other depths nor occlude them.
     let groups = (rendered.len() + 1).div_ceil(GROUP);
     let (mut depths, mut weights) = (vec![[f32::INFINITY; GROUP]; groups], vec![[0i32; GROUP]; groups]);
     for (x, pixel) in row.iter_mut().enumerate() {

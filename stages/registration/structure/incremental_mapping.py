@@ -103,7 +103,7 @@ def verify_matches(
         min_inliers = max(_MIN_INLIERS, min_inlier_ratio * len(found))
         return (first, second, geometry) if len(geometry.inlier_matches) >= min_inliers else None
 
-    # Each estimate seeds the random numbers of its own thread.
+    # Each estimate seeds the random numbers of the thread that computes it.
     threads = get_worker_count()
     results = map_ordered(verify, matches, threads=threads, max_pending=2 * threads)
     return [one for one in results if one is not None]

@@ -60,7 +60,7 @@ _ADVICE = (
 
 @dataclass(frozen=True, eq=False)
 class Structure:
-    """Cameras of photos, and the sparse points they have in common.
+    """Cameras of photos, and sparse points that several photos show.
 
     Attributes
     ----------
@@ -475,7 +475,7 @@ def _describe_gaps(names: Sequence[str], left_out: Collection[str]) -> str:
 
 
 def _describe_weak_photos(photos: Sequence[PhotoFeatures]) -> str:
-    """Describe photos with few features: blurred, dark or without texture; empty if there are none."""
+    """Describe photos with few features (blurred, dark, without texture); empty without such photos."""
     weak = sum(len(photo.pixels) < _MIN_FEATURES for photo in photos)
     if not weak:
         return ""
