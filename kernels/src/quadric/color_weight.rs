@@ -15,7 +15,7 @@ const MIN_CELL_TRIANGLES: usize = 12;
 const MIN_NORMAL_AGREEMENT: f64 = 0.7;
 
 /// Number of triangles to sample; more would not change the mean.
-const SAMPLED_TRIANGLES: usize = 100_000;
+const SAMPLED_TRIANGLES: usize = 1 << 15;
 
 /// Rounding error of the input colours, in levels.
 const MIN_COLOR_LEVELS: f64 = 0.5;

@@ -27,7 +27,7 @@ use crate::quadrics::local_quadric::{EdgeMinimum, LaneQuadric, LocalQuadric, fin
 /// A pass considers this ratio of the vertices, each with its cheapest edge. A larger ratio needs fewer
 /// passes, but removes detail while flat places still have vertices to remove. Near the goal this matters more.
 const CONSIDERED_RATIO: f64 = 0.8;
-const CONSIDERED_RATIO_NEAR_GOAL: f64 = 0.4;
+const CONSIDERED_RATIO_NEAR_GOAL: f64 = 0.5;
 
 /// With more than this many triangles per triangle of the goal, the goal is far.
 const FAR_FROM_GOAL: usize = 3;

@@ -175,7 +175,8 @@ pub fn simplify_with<const D: usize, const K: usize>(
 
 /// Create the mesh of a welded surface, with touching vertices locked.
 fn create_mesh<const K: usize>(surface: &SeamSurface<K>, welded: Welded) -> Mesh<3> {
-    let slots = welded.connectivity.vertex_slots();
+    let connectivity = welded.connectivity();
+    let slots = connectivity.vertex_slots();
     let mut points = vec![[0.0; 3]; slots];
     let mut vertex_source = vec![0; slots];
     let mut locks = vec![VertexLock::Free; slots];
@@ -187,8 +188,7 @@ fn create_mesh<const K: usize>(surface: &SeamSurface<K>, welded: Welded) -> Mesh
             locks[v.index()] = VertexLock::Locked;
         }
     }
-    let (connectivity, triangle_source) = (welded.connectivity, welded.triangle_source);
-    Mesh { connectivity, points, vertex_source, triangle_source, locks }
+    Mesh { connectivity, points, vertex_source, triangle_source: welded.triangle_source, locks }
 }
 
 /// Map each corner of the input to its wedge and vertex; `NONE` in dropped triangles.

@@ -13,22 +13,25 @@ use crate::mesh::connectivity_builder::check_indices;
 /// Marks a vertex without a set, which may move.
 pub const NO_SET: u32 = u32::MAX;
 
-/// Connectivity of a surface after welding.
+/// A surface after welding.
 pub struct Welded {
-    pub connectivity: Connectivity,
     /// Vertex at the origin of each halfedge.
     pub corner_vertex: Vec<VertexId>,
+    /// Opposite halfedge of each halfedge.
+    twins: Vec<HalfedgeId>,
     /// Input triangle of each triangle; triangles with two corners in one set are dropped.
     pub triangle_source: Vec<u32>,
     /// By vertex: its set if it touches other vertices of that set without being joined.
     pub touching: Vec<u32>,
 }
 
-/// A halfedge between two sets: (higher set and file vertices), index, and true if it runs from the lower set
-/// to the higher.
-type HalfedgeKey = ((u32, u32, u32), u32, bool);
+impl Welded {
+    pub fn connectivity(&self) -> Connectivity {
+        Connectivity::from_twins(self.touching.len(), &self.corner_vertex, &self.twins)
+    }
+}
 
-/// Weld the vertices of each set, and build the connectivity.
+/// Weld the vertices of each set.
 ///
 /// # Errors
 /// An index out of range, or more triangles than the maximum.
@@ -39,12 +42,11 @@ pub fn weld(sets: &[u32], triangles: &[[u32; 3]]) -> Result<Welded, KernelError>
         a != b && b != c && c != a
     };
     let triangle_source: Vec<u32> = (0..triangles.len() as u32).filter(has_area).collect();
-    let kept: Vec<[u32; 3]> = triangle_source.iter().map(|&t| triangles[t as usize]).collect();
+    let corners: Vec<u32> = triangle_source.iter().flat_map(|&t| triangles[t as usize]).collect();
     let set_count = sets.iter().max().map_or(0, |&s| s as usize + 1);
-    let corner = |h: u32| kept[h as usize / 3][h as usize % 3];
-    let set = |h: usize| sets[corner(h as u32) as usize] as usize;
-    let (mut twins, mut torn) =
-        find_twins(3 * kept.len(), set_count, |h| (set(h as usize) as u32, corner(h)));
+    let corner_set: Vec<u32> = corners.iter().map(|&v| sets[v as usize]).collect();
+    let (mut twins, mut torn) = find_twins(&corner_set, &corners, set_count);
+    let set = |h: usize| corner_set[h] as usize;
     // Two triangles back to back are not a surface.
     let across = |h: HalfedgeId| set(Connectivity::prev(h).index());
     for h in (0..twins.len()).map(HalfedgeId::from_index) {
@@ -75,48 +77,73 @@ pub fn weld(sets: &[u32], triangles: &[[u32; 3]]) -> Result<Welded, KernelError>
             touching[v.index()] = set(h) as u32;
         }
     }
-    let connectivity = Connectivity::from_twins(vertex_count, &corner_vertex, &twins);
-    Ok(Welded { connectivity, corner_vertex, triangle_source, touching })
+    Ok(Welded { corner_vertex, twins, triangle_source, touching })
 }
 
-/// Find the twin of each halfedge, and mark halfedges where more than two meet. `origin` returns set and
-/// vertex.
-fn find_twins(count: usize, sets: usize, origin: impl Fn(u32) -> (u32, u32)) -> (Vec<HalfedgeId>, Vec<bool>) {
-    let ends = |h: u32| {
-        let (a, b) = (origin(h), origin(Connectivity::next(HalfedgeId(h)).0));
-        if a.0 < b.0 { (a, b, true) } else { (b, a, false) }
+/// Find the twin of each halfedge, and mark halfedges where more than two meet.
+///
+/// `sets` and `corners` are the set and the file vertex at the origin of each halfedge.
+fn find_twins(sets: &[u32], corners: &[u32], set_count: usize) -> (Vec<HalfedgeId>, Vec<bool>) {
+    let end = |h: u32| Connectivity::next(HalfedgeId(h)).index();
+    let upwards = |h: u32| sets[h as usize] < sets[end(h)];
+    let file_edge = |h: u32| {
+        let (a, b) = (corners[h as usize], corners[end(h)]);
+        if upwards(h) { (a, b) } else { (b, a) }
     };
-    // Group by the lower set in linear time; a group is as small as the degree of a vertex.
-    let mut group = vec![0u32; sets + 1];
-    for h in 0..count as u32 {
-        group[ends(h).0.0 as usize + 1] += 1;
-    }
-    for set in 0..sets {
-        group[set + 1] += group[set];
-    }
-    let mut fill = group.clone();
-    let mut sorted: Vec<HalfedgeKey> = vec![((0, 0, 0), 0, false); count];
-    for h in 0..count as u32 {
-        let (low, high, upwards) = ends(h);
-        let place = &mut fill[low.0 as usize];
-        sorted[*place as usize] = ((high.0, low.1, high.1), h, upwards);
-        *place += 1;
-    }
-    let mut twins = vec![HalfedgeId::NONE; count];
-    let mut torn = vec![false; count];
-    for low in 0..sets {
-        let around = &mut sorted[group[low] as usize..group[low + 1] as usize];
-        around.sort_unstable();
-        for same in around.chunk_by(|g, h| g.0.0 == h.0.0) {
-            if same.len() > 1 && !join_twins(same, &mut twins) {
-                for own in same.chunk_by(|g, h| g.0 == h.0) {
-                    join_twins(own, &mut twins);
+    let (by_end, starts) = sort_halfedges(sets, set_count);
+    let mut twins = vec![HalfedgeId::NONE; sets.len()];
+    let mut torn = vec![false; sets.len()];
+    // Twins if there are exactly two halfedges, in opposite directions.
+    let mut join = |halfedges: &[u32]| match *halfedges {
+        [g, h] if upwards(g) != upwards(h) => {
+            (twins[g as usize], twins[h as usize]) = (HalfedgeId(h), HalfedgeId(g));
+            true
+        }
+        _ => false,
+    };
+    let mut edge: Vec<u32> = vec![];
+    for around in starts.windows(2).map(|range| &by_end[range[0] as usize..range[1] as usize]) {
+        for same in around.chunk_by(|g, h| g >> 32 == h >> 32).filter(|same| same.len() > 1) {
+            edge.clear();
+            edge.extend(same.iter().map(|&key| key as u32));
+            if !join(&edge) {
+                edge.iter().for_each(|&h| torn[h as usize] = true);
+                edge.sort_unstable_by_key(|&h| (file_edge(h), h));
+                for own in edge.chunk_by(|&g, &h| file_edge(g) == file_edge(h)) {
+                    join(own);
                 }
-                same.iter().for_each(|&(_, h, _)| torn[h as usize] = true);
             }
         }
     }
     (twins, torn)
+}
+
+/// Sort halfedges by the lower of their two sets, then by the higher and by index.
+///
+/// Returns higher set and index of each as one number, and the start of each lower set.
+fn sort_halfedges(sets: &[u32], set_count: usize) -> (Vec<u64>, Vec<u32>) {
+    let ends = |h: usize| (sets[h], sets[Connectivity::next(HalfedgeId::from_index(h)).index()]);
+    // A counting sort takes linear time; a group is as small as the degree of a vertex.
+    let mut starts = vec![0u32; set_count + 1];
+    for h in 0..sets.len() {
+        let (a, b) = ends(h);
+        starts[a.min(b) as usize + 1] += 1;
+    }
+    for set in 0..set_count {
+        starts[set + 1] += starts[set];
+    }
+    let mut next = starts.clone();
+    let mut sorted = vec![0u64; sets.len()];
+    for h in 0..sets.len() {
+        let (a, b) = ends(h);
+        let place = &mut next[a.min(b) as usize];
+        sorted[*place as usize] = u64::from(a.max(b)) << 32 | h as u64;
+        *place += 1;
+    }
+    for range in starts.windows(2) {
+        sorted[range[0] as usize..range[1] as usize].sort_unstable();
+    }
+    (sorted, starts)
 }
 
 /// Make edges unique by their vertices. Returns true if anything changed.
@@ -159,18 +186,6 @@ fn make_edges_unique(corner_vertex: &[VertexId], twins: &mut [HalfedgeId], torn:
         }
     }
     !apart.is_empty() || !joined.is_empty()
-}
-
-/// Make two sides twins if there are exactly two, in opposite directions.
-fn join_twins(sides: &[HalfedgeKey], twins: &mut [HalfedgeId]) -> bool {
-    match *sides {
-        [(_, g, up), (_, h, also_up)] if up != also_up => {
-            twins[g as usize] = HalfedgeId(h);
-            twins[h as usize] = HalfedgeId(g);
-            true
-        }
-        _ => false,
-    }
 }
 
 /// Assign a vertex to every corner: corners connected through joined triangles share one. Also returns the

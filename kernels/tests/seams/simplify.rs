@@ -127,11 +127,11 @@ fn an_edge_is_known_by_its_vertices() {
     let welded = weld(&[0, 1, 2, 3, 4, 5], &triangles).expect("indices in range");
     let corners: Vec<[u32; 3]> =
         welded.corner_vertex.chunks_exact(3).map(|t| [t[0].0, t[1].0, t[2].0]).collect();
-    let vertices = welded.connectivity.vertex_slots();
+    let vertices = welded.connectivity().vertex_slots();
     let again = Connectivity::from_triangles(vertices, &corners).expect("a manifold");
     for e in again.edges() {
         let h = again.halfedge(e);
-        assert_eq!(again.twin(h), welded.connectivity.twin(h));
+        assert_eq!(again.twin(h), welded.connectivity().twin(h));
     }
 }
 
@@ -163,7 +163,7 @@ fn copies_are_welded_and_touching_vertices_are_marked() {
     // Two triangles that share an edge by copies, and one that touches at a corner only.
     let sets = [0, 1, 2, 1, 0, 3, 2, 4, 5];
     let welded = weld(&sets, &[[0, 1, 2], [3, 4, 5], [6, 7, 8]]).expect("indices in range");
-    assert_eq!(welded.connectivity.vertices().count(), 7);
+    assert_eq!(welded.connectivity().vertices().count(), 7);
     let touching: Vec<bool> =
         welded.corner_vertex.iter().map(|v| welded.touching[v.index()] != NO_SET).collect();
     assert_eq!(touching, [false, false, true, false, false, false, true, false, false]);
@@ -172,12 +172,14 @@ fn copies_are_welded_and_touching_vertices_are_marked() {
 #[test]
 fn three_triangles_at_an_edge_and_two_back_to_back_stay_open_there() {
     let fan = weld(&[0, 1, 2, 3, 4], &[[0, 1, 2], [1, 0, 3], [0, 1, 4]]).expect("indices in range");
-    assert!(fan.connectivity.edges().all(|e| fan.connectivity.is_boundary_edge(e)));
+    let connectivity = fan.connectivity();
+    assert!(connectivity.edges().all(|e| connectivity.is_boundary_edge(e)));
     let ends =
         |v: u32| fan.corner_vertex.iter().zip([0, 1, 2, 1, 0, 3, 0, 1, 4]).filter(move |(_, w)| *w == v);
     assert!(ends(0).chain(ends(1)).all(|(v, _)| fan.touching[v.index()] != NO_SET));
     let pillow = weld(&[0, 1, 2], &[[0, 1, 2], [0, 2, 1]]).expect("indices in range");
-    assert_eq!(pillow.connectivity.edges().filter(|&e| pillow.connectivity.is_boundary_edge(e)).count(), 6);
+    let connectivity = pillow.connectivity();
+    assert_eq!(connectivity.edges().filter(|&e| connectivity.is_boundary_edge(e)).count(), 6);
     assert!(pillow.touching.iter().all(|&touching| touching != NO_SET));
 }
 
