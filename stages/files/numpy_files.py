@@ -55,12 +55,7 @@ def parse_array(content: BytesIO) -> NDArray[Any]:
         If the content is not a .npy file, holds objects, or is shorter than its header states; or another of
         NPY_ERRORS.
     """
-    with _PARSER_LOCK:
-        version = np.lib.format.read_magic(content)
-        read = (
-            np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-        )
-        shape, in_columns, dtype = read(content)
+    shape, in_columns, dtype = parse_array_header(content)
     left = content.getbuffer()[content.tell() :]
     if dtype.hasobject or math.prod(shape) * dtype.itemsize > len(left):
         raise ValueError("the array is cut short, or holds objects")
@@ -68,3 +63,24 @@ def parse_array(content: BytesIO) -> NDArray[Any]:
         shape, order="F" if in_columns else "C"
     )
     return array
+
+
+def parse_array_header(content: BytesIO) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
+    """Parse the header of a .npy file, and leave the position at its end.
+
+    Returns
+    -------
+    Shape, True for Fortran order, and data type.
+
+    Raises
+    ------
+    ValueError
+        If the content is not a .npy file; or another of NPY_ERRORS.
+    """
+    with _PARSER_LOCK:
+        version = np.lib.format.read_magic(content)
+        read = (
+            np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+        )
+        shape, in_columns, dtype = read(content)
+    return shape, in_columns, dtype

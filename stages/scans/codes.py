@@ -377,6 +377,27 @@ pose per frame (KITTI's format has no times).
 """,
     "frame 000012: tracking was lost: it has no pose",
 )
+SCAN_PREDICTION_INVALID = Code(
+    "scan.prediction-invalid",
+    "Predictions with missing or unsuitable arrays",
+    """
+Predicted scans are archives of NumPy arrays, as `np.savez` writes them, with one item per view. `depth`,
+`intrinsic` and `extrinsic` (or `camera_poses`) are required ([predictions](../formats/scans.md#predictions)).
+""",
+    "room/predictions.npz: the array extrinsic is (12, 4); (12, 3, 4) is expected.",
+)
+SCAN_DEPTH_ALIGNED = Code(
+    "scan.depth-aligned",
+    "Predicted depth was made consistent between views",
+    """
+A network predicts the depth of each view with a slightly different scale and offset. Both are corrected so
+that overlapping views agree. The poses are not changed; the stage `adjust` does that.
+""",
+    (
+        "predicted depth of 24 views is multiplied by 0.94 to 1.07, with an offset: overlapping views then "
+        "differ by 0.81% instead of 3.40% (median)"
+    ),
+)
 SCAN_IMAGES_UNPAIRED = Code(
     "scan.images-unpaired",
     "Images that cannot be paired",

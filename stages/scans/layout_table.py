@@ -23,6 +23,7 @@ from scanloom.stages.scans.layouts import (
     plain_stereo,
     plain_views,
     polycam,
+    predictions,
     record3d,
     redwood,
     replica,
@@ -69,6 +70,8 @@ DISTINCT_LAYOUTS: tuple[Layout, ...] = (
     bop.LAYOUT,
     replica.LAYOUT,
     tartan_air.LAYOUT,
+    # Before COLMAP: networks write their cameras in both forms, and depth only in this one.
+    predictions.LAYOUT,
     colmap.LAYOUT,
     # After COLMAP: LLFF folders often contain a COLMAP model, which has more information.
     llff.LAYOUT,

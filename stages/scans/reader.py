@@ -48,6 +48,7 @@ from scanloom.stages.scans.model.poses import AS_WRITTEN, to_camera_to_world
 from scanloom.stages.scans.model.scan import Frame, PackedImage, Scan, SkippedFrame
 from scanloom.stages.scans.params import ScanParams
 from scanloom.stages.scans.transforms.adjusted_cameras import apply_adjusted_cameras
+from scanloom.stages.scans.transforms.depth_agreement import align_predicted_depth
 from scanloom.stages.scans.transforms.depth_calibration import apply_depth_calibration
 from scanloom.stages.scans.transforms.masks import apply_masks
 from scanloom.stages.scans.transforms.scale import apply_scale
@@ -107,6 +108,8 @@ def _read_frames(folder: Path, options: ScanParams, *, keep_unposed: bool) -> Sc
     )
     if layout.name != "sun-rgbd":  # its reader detects rotated bits itself
         scan = decode_rotated_scan(scan, options.depth_scale, is_own_layout=layout.name == "plain-rgbd")
+    if scan.is_depth_predicted:
+        scan = replace(scan, frames=align_predicted_depth(scan.frames))
     keep_unposed = keep_unposed and scan.is_views and scan.has_poses
     if keep_unposed:
         scan = add_unlisted_photos(scan)

@@ -409,6 +409,7 @@ class Scan:
     held_out : frames that no stage uses, for evaluation.
     up : up direction in world coordinates, if the layout or the folder states it.
     is_metric : lengths are metres; otherwise poses and depth have the same unknown unit.
+    is_depth_predicted : a network predicted the depth, so its scale and offset differ between views.
     scale : conversion to metres that was applied to a scan without metric scale.
     source_files : all files that the scan was read from, and the image files of all frames, selected or not.
     """
@@ -424,6 +425,7 @@ class Scan:
     held_out: Sequence[Frame] = ()
     up: WorldUp | None = None
     is_metric: bool = True
+    is_depth_predicted: bool = False
     scale: Scale | None = None
     source_files: frozenset[Path] = frozenset()
 

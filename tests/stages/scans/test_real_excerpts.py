@@ -51,6 +51,7 @@ MADE = {
     "plain-rgbd",
     "plain-views",
     "polycam",
+    "predictions",
     "record3d",
     "replica",
     "ros-bag",

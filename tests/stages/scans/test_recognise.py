@@ -52,6 +52,7 @@ def touch(folder, *names):
         (["keyframes/cameras"], "polycam"),
         (["metadata.json", "rgb", "depth"], "record3d"),
         (["take.r3d"], "record3d"),
+        (["camera/000000.npz", "depth/000000.npy", "color/000000.png"], "predictions"),
         (["take.bag"], "ros-bag"),
         (["take.db3", "metadata.yaml"], "ros-bag"),
         (["odometry.csv", "camera_matrix.csv", "rgb.mp4", "depth"], "stray-scanner"),

@@ -3,7 +3,11 @@
 images/                                    the images; undistorted in a dense workspace
 sparse/cameras.bin, images.bin             or .txt; also in sparse/0/, next to images/, in colmap/sparse/0/ …
 sparse/points3D.bin                        or .txt: determines the depth range of each image
-stereo/depth_maps/<name>.geometric.bin     or .photometric.bin; without any, the images are single views
+stereo/depth_maps/<name>.geometric.bin     or .photometric.bin
+depth/<name>.npy                           or depth_maps/, depths/: maps that a network predicted, in the unit
+                                           of the model, optionally with conf/<name>.npy
+
+Without depth maps, the images are single views.
 """
 
 from __future__ import annotations
@@ -19,7 +23,7 @@ from numpy.typing import NDArray
 
 from scanloom.stages.diagnostics.collector import collecting, emit
 from scanloom.stages.diagnostics.errors import InputError
-from scanloom.stages.files.images import read_image_size
+from scanloom.stages.files.images import read_array, read_image_size
 from scanloom.stages.scans.codes import (
     DEPTH_RANGE_UNKNOWN,
     FILE_COLMAP_INVALID,
@@ -32,6 +36,7 @@ from scanloom.stages.scans.layouts.colmap import model_files as colmap
 from scanloom.stages.scans.layouts.colmap.model_files import ColmapImage
 from scanloom.stages.scans.layouts.shared.layout import Layout
 from scanloom.stages.scans.layouts.shared.posed_views import create_view_frame, to_metres
+from scanloom.stages.scans.layouts.shared.predicted_maps import choose_min_confidence, read_levels, read_map
 from scanloom.stages.scans.model.reading_params import ReadingParams
 from scanloom.stages.scans.model.scan import (
     Camera,
@@ -49,6 +54,8 @@ _MODEL_FOLDERS = ("sparse", ".", "colmap/sparse", "colmap")
 # Dense workspace locations of COLMAP's own scripts, relative to the scan folder.
 _WORKSPACE_FOLDERS = (".", "dense", "dense/0")
 _DEPTH_MAP_KINDS = ("geometric", "photometric")
+_PREDICTED_DEPTH_FOLDERS = ("depth", "depth_maps", "depths")
+_CONFIDENCE_FOLDERS = ("conf", "confidence")
 # Relative tolerance of the aspect ratio: COLMAP rounds sizes to whole pixels when it downscales images.
 _ASPECT_RATIO_TOLERANCE = 0.02
 # Number of views whose images are checked against the cameras of the model.
@@ -130,6 +137,9 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
             frames.append(_create_frame(name, view, camera, pose, images / view.name, depth, options))
         except InputError as error:
             skipped.append(SkippedFrame(name, error.diagnostic))
+    is_depth_predicted = any(depth is not None and depth.suffix == ".npy" for depth in depths.values())
+    if is_depth_predicted:
+        frames = _add_confidence(frames, workspace, options)
     _check_depths(frames)
     if has_no_depth and not points:
         emit(
@@ -141,7 +151,15 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
         )
     # Poses given by the user are in metres. Depth maps stay in the unit of the model.
     is_metric = options.depth_scale is not None or (has_no_depth and options.poses is not None)
-    return Scan(LAYOUT.name, frames, None, folder, tuple(skipped), is_metric=is_metric)
+    return Scan(
+        LAYOUT.name,
+        frames,
+        None,
+        folder,
+        tuple(skipped),
+        is_metric=is_metric,
+        is_depth_predicted=is_depth_predicted,
+    )
 
 
 def _select_workspace(folder: Path, workspaces: Sequence[Path]) -> Path:
@@ -214,8 +232,28 @@ def _get_observed_points(
 
 def _find_depth_map(workspace: Path, view: ColmapImage) -> Path | None:
     maps = workspace / "stereo" / "depth_maps"
-    files = (maps / f"{view.name}.{kind}.bin" for kind in _DEPTH_MAP_KINDS)
+    files = [maps / f"{view.name}.{kind}.bin" for kind in _DEPTH_MAP_KINDS]
+    stem = PurePosixPath(view.name).with_suffix(".npy")
+    files += [workspace / folder / stem for folder in _PREDICTED_DEPTH_FOLDERS]
     return next((path for path in files if path.is_file()), None)
+
+
+def _add_confidence(frames: list[Frame], workspace: Path, options: ReadingParams) -> list[Frame]:
+    """Add the confidence maps of predicted depth, if each frame has one."""
+    folder = next((workspace / name for name in _CONFIDENCE_FOLDERS if (workspace / name).is_dir()), None)
+    paths = [None if folder is None else folder / f"{frame.name}.npy" for frame in frames]
+    found = [path for path in paths if path is not None and path.is_file()]
+    if len(found) < len(frames):
+        return frames
+    sizes = [(frame.camera.height, frame.camera.width) for frame in frames]
+    maps = [
+        PackedImage(path, "confidence", partial(read_levels, path, size))
+        for path, size in zip(found, sizes, strict=True)
+    ]
+    least = choose_min_confidence(maps, options)
+    return [
+        replace(frame, confidence=one, min_confidence=least) for frame, one in zip(frames, maps, strict=True)
+    ]
 
 
 def _read_poses(folder: Path, views: Sequence[ColmapImage], options: ReadingParams) -> Sequence[Pose | None]:
@@ -248,7 +286,8 @@ def _create_frame(
     InputError
         If the depth map is unreadable or its shape differs from the shape of its camera.
     """
-    width, height = colmap.read_depth_map_size(depth)
+    is_predicted = depth.suffix == ".npy"
+    width, height = _read_array_size(depth) if is_predicted else colmap.read_depth_map_size(depth)
     if not math.isclose(
         width / full_camera.width, height / full_camera.height, rel_tol=_ASPECT_RATIO_TOLERANCE
     ):
@@ -268,15 +307,36 @@ def _create_frame(
         name=name,
         camera=scale_camera(full_camera, width, height),
         color=color,
-        depth=PackedImage(depth, view.name, partial(colmap.read_depth_map, depth)),
+        depth=PackedImage(
+            depth,
+            view.name,
+            partial(read_map, depth, (height, width))
+            if is_predicted
+            else partial(colmap.read_depth_map, depth),
+        ),
         depth_scale=options.depth_scale or 1.0,
         world_from_camera=pose,
     )
 
 
+def _read_array_size(path: Path) -> tuple[int, int]:
+    shape = [side for side in read_array(path, "the depth map").shape if side != 1]
+    if len(shape) != 2:
+        raise InputError(
+            FILE_COLMAP_INVALID,
+            "the depth map is {shape}; (height, width) is expected.",
+            path,
+            shape=tuple(shape),
+        )
+    return shape[1], shape[0]
+
+
 def _check_depths(frames: Sequence[Frame]) -> None:
     """Warn about depth maps of another model, and about photometric ones."""
-    if any(frame.camera.distortion and frame.depth is not None for frame in frames):
+    computed = [
+        one for one in frames if isinstance(one.depth, PackedImage) and one.depth.file.suffix == ".bin"
+    ]
+    if any(frame.camera.distortion for frame in computed):
         emit(
             SCAN_ASSUMED.warning(
                 "the cameras have lens distortion, but COLMAP computes depth maps only for undistorted "
@@ -298,8 +358,8 @@ def _check_depths(frames: Sequence[Frame]) -> None:
 
 LAYOUT = Layout(
     name="colmap",
-    description="cameras and images .bin|txt (also in sparse/ …), images/, optionally stereo/depth_maps/ "
-    "(COLMAP)",
+    description="cameras and images .bin|txt (also in sparse/ …), images/, optionally stereo/depth_maps/ or "
+    "depth/*.npy (COLMAP)",
     matches=_matches,
     read=_read,
 )

@@ -467,3 +467,31 @@ def test_a_dense_workspace_is_read_and_reported(scan_folder, tiny, tmp_path_fact
     scan = read_scan(project)
     assert scan.frames[0].camera.fx == 90
     assert said not in map(str, scan.diagnostics)
+
+
+@pytest.mark.parametrize("with_confidence", [True, False])
+def test_depth_that_a_network_predicted(workspace, with_confidence):
+    write_binary(workspace / "sparse")
+    confidence = np.full((12, 16), 8.0, np.float32)
+    confidence[2, 3] = 1.0
+    for name in NAMES:
+        for folder, values in (("depth", np.full((12, 16, 1), 2.0, np.float32)), ("conf", confidence)):
+            path = (workspace / folder / name).with_suffix(".npy")
+            path.parent.mkdir(parents=True, exist_ok=True)
+            if folder == "depth" or with_confidence:
+                np.save(path, values)
+    scan = read_scan(workspace)
+    assert (scan.layout, scan.is_depth_predicted, scan.skipped_frames) == ("colmap", True, ())
+    depth = read_depth(scan.frames[0])
+    assert depth.shape == (12, 16)
+    assert depth[2, 3] == (0 if with_confidence else 2)
+    assert depth[5, 5] == 2
+    assert scan.frames[0].camera.fx == 50
+
+
+def test_predicted_depth_of_another_shape_is_skipped(workspace):
+    write_binary(workspace / "sparse")
+    (workspace / "depth").mkdir()
+    np.save(workspace / "depth" / "10.npy", np.full((12, 16, 2), 2.0, np.float32))
+    with pytest.raises(InputError, match="none of its 2 frames"):
+        read_scan(workspace)
