@@ -3,8 +3,7 @@
 A network predicts the depth of each view with a slightly different scale and offset. The depth z of view i
 becomes a_i z + b_i. A point of one view, seen from another one, must have the depth that the other view
 predicts there. The numbers of all views are found together by iteratively reweighted least squares
-(Gauss-Newton). The poses fix the common scale. A common offset is hardly visible in the agreement of views,
-and wrong poses would cause one, so the mean offset is zero.
+(Gauss-Newton). The poses fix the common scale.
 """
 
 from __future__ import annotations
@@ -27,15 +26,16 @@ _GRID = (32, 24)
 # Views that each view is compared with, and the minimum ratio of its samples they must see.
 _MAX_PARTNERS = 8
 _MIN_SEEN_RATIO = 0.1
-_ITERATIONS = 6
+_PARTNER_SAMPLES = 48
+_ITERATIONS = 8
 # Relative difference of depth above which two views see different surfaces, in the first and last iteration.
 _MAX_DIFFERENCE = (0.25, 0.06)
 # Residuals above this multiple of the median count less (Huber).
 _HUBER_FACTOR = 1.5
 # Standard deviations of scale and relative offset without other information, and of a sample.
 _PRIOR_DEVIATION, _SAMPLE_DEVIATION = 0.2, 0.02
-# Weight of the mean offset, relative to the weight of the samples of a view.
-_MEAN_WEIGHT = 100.0
+# Relative step of numeric derivatives.
+_STEP = 0.01
 # A sample is on an edge if its neighbours differ by more than this ratio of its depth.
 _MAX_STEP_RATIO = 0.04
 # The result is used if it reduces the median difference at samples that did not take part to this ratio.
@@ -50,7 +50,6 @@ class _ViewSamples:
     Attributes
     ----------
     depth : (h, w) float32.
-    pixels : (k, 2) sampled columns and rows.
     rays : (k, 3) directions through the samples in camera axes, with unit depth.
     values : (k,) depth of the samples.
     """
@@ -87,9 +86,11 @@ def align_predicted_depth(frames: Sequence[Frame]) -> list[Frame]:
     Reports the correction. Frames without a pose, and scans in which views do not overlap, stay unchanged.
     """
     posed = [place for place, frame in enumerate(frames) if frame.world_from_camera is not None]
+    if len(posed) < 2:
+        return list(frames)
     views = [_sample_view(frames[place]) for place in posed]
     links = _find_links(views)
-    if not len(links.source):
+    if len(links.source) < 2:
         return list(frames)
     # Half of the samples decide whether the result is better.
     is_fitted = np.arange(len(links.source)) % 2 == 0
@@ -153,20 +154,13 @@ def _sample_view(frame: Frame) -> _ViewSamples:
 def _find_links(views: Sequence[_ViewSamples]) -> _Links:
     """Find the samples of each view that other views see; at most `_MAX_PARTNERS` views each."""
     links = []
-    for i, view in enumerate(views):
+    for i, partners in enumerate(_find_partners(views)):
+        view = views[i]
         points = (view.rays * view.values[:, None]) @ view.pose[:3, :3].T + view.pose[:3, 3]
-        seen = [
-            (int(np.count_nonzero(inside)), j, inside)
-            for j, other in enumerate(views)
-            if j != i and (inside := _project(other, points)[2]).sum() >= _MIN_SEEN_RATIO * len(points)
-        ]
-        # Ties are broken by the distance of the views in time.
-        seen.sort(key=lambda one: (-one[0], abs(one[1] - i), one[1]))
-        for count, j, inside in seen[:_MAX_PARTNERS]:
-            if count:
-                links.append(
-                    _Links(np.full(count, i), np.full(count, j), view.rays[inside], view.values[inside])
-                )
+        for j in partners:
+            seen = _project(views[j], points)[2]
+            count = int(np.count_nonzero(seen))
+            links.append(_Links(np.full(count, i), np.full(count, j), view.rays[seen], view.values[seen]))
     if not links:
         return _Links(np.zeros(0, np.intp), np.zeros(0, np.intp), np.zeros((0, 3)), np.zeros(0))
     return _Links(
@@ -175,6 +169,30 @@ def _find_links(views: Sequence[_ViewSamples]) -> _Links:
             for name in ("source", "target", "rays", "values")
         )
     )
+
+
+def _find_partners(views: Sequence[_ViewSamples]) -> list[list[int]]:
+    """Find the views that see most of each view, from some of its samples."""
+    poses = np.array([view.pose for view in views])
+    cameras = np.array([(c.fx, c.fy, c.cx, c.cy, c.width, c.height) for c in (v.frame.camera for v in views)])
+    fx, fy, cx, cy, width, height = cameras.T[:, :, None]
+    partners = []
+    for i, view in enumerate(views):
+        if not len(view.values):
+            partners.append([])
+            continue
+        some = slice(None, None, max(1, len(view.values) // _PARTNER_SAMPLES))
+        points = (view.rays[some] * view.values[some, None]) @ view.pose[:3, :3].T + view.pose[:3, 3]
+        x, y, z = np.einsum("nkx,nxc->cnk", points[None] - poses[:, None, :3, 3], poses[:, :3, :3])
+        near = np.maximum(z, 1e-12)
+        with np.errstate(over="ignore"):
+            u, v = fx * x / near + cx, fy * y / near + cy
+        ratio = ((z > 0) & (u >= 0) & (u < width) & (v >= 0) & (v < height)).mean(axis=1)
+        ratio[i] = 0
+        # Ties are broken by the distance of the views in time.
+        order = np.lexsort((np.abs(np.arange(len(views)) - i), -ratio))[:_MAX_PARTNERS]
+        partners.append([int(j) for j in order if ratio[j] >= _MIN_SEEN_RATIO])
+    return partners
 
 
 def _project(
@@ -192,10 +210,15 @@ def _project(
     near = np.where(ahead, z, 1.0)
     with np.errstate(over="ignore", invalid="ignore"):
         columns, rows = camera.fx * x / near + camera.cx, camera.fy * y / near + camera.cy
-    inside = ahead & (columns >= 0) & (columns <= width - 1) & (rows >= 0) & (rows <= height - 1)
-    at = np.where(inside, np.rint(rows), 0).astype(int), np.where(inside, np.rint(columns), 0).astype(int)
-    predicted = view.depth[at].astype(np.float64)
-    return predicted, z, inside & (predicted > 0)
+    inside = ahead & (columns >= 0) & (columns < width - 1) & (rows >= 0) & (rows < height - 1)
+    columns, rows = np.where(inside, columns, 0.0), np.where(inside, rows, 0.0)
+    left, top = columns.astype(int), rows.astype(int)
+    corners = np.stack([view.depth[top + i, left + j] for i in (0, 1) for j in (0, 1)]).astype(np.float64)
+    across, down = columns - left, rows - top
+    weights = np.stack([(1 - down) * (1 - across), (1 - down) * across, down * (1 - across), down * across])
+    predicted = np.sum(weights * corners, axis=0)
+    is_edge = corners.max(axis=0) - corners.min(axis=0) > _MAX_STEP_RATIO * predicted
+    return predicted, z, inside & (corners.min(axis=0) > 0) & ~is_edge
 
 
 def _identity(count: int) -> NDArray[np.float64]:
@@ -216,29 +239,42 @@ def _compare(
     derivatives, differences = np.zeros((len(links.source), 4)), np.zeros(len(links.source))
     has_depth = np.zeros(len(links.source), bool)
     scale, offset = factors[links.source].T
-    depth = scale * links.values + offset
+    depth = np.maximum(scale * links.values + offset, 1e-12)
     for j, view in enumerate(views):
         rows = np.flatnonzero(links.target == j)
         for i in np.unique(links.source[rows]):
             of_pair = rows[links.source[rows] == i]
-            pose = views[i].pose
+            pose, far = views[i].pose, depth[of_pair]
             rays = links.rays[of_pair] @ pose[:3, :3].T
-            predicted, seen, has_depth[of_pair] = _project(view, rays * depth[of_pair, None] + pose[:3, 3])
-            forward = rays @ view.pose[:3, 2]
-            expected = factors[j, 0] * predicted + factors[j, 1]
-            has_depth[of_pair] &= expected > 0
-            seen, expected = (np.where(has_depth[of_pair], one, 1.0) for one in (seen, expected))
-            derivatives[of_pair] = np.stack(
-                [
-                    links.values[of_pair] * forward / seen,
-                    forward / seen,
-                    -predicted / expected,
-                    -1 / expected,
-                ],
-                axis=1,
+            # A moved point is seen at another pixel of the target, so the derivative is numeric.
+            (difference, predicted, known), (moved, _, is_known) = (
+                _compare_points(view, rays * (step * far)[:, None] + pose[:3, 3], factors[j])
+                for step in (1.0, 1 + _STEP)
             )
-            differences[of_pair] = np.log(seen / expected)
+            has_depth[of_pair] = known & is_known
+            slope = (moved - difference) / (_STEP * far)
+            expected = factors[j, 0] * predicted + factors[j, 1]
+            derivatives[of_pair] = np.stack(
+                [links.values[of_pair] * slope, slope, -predicted / expected, -1 / expected], axis=1
+            )
+            differences[of_pair] = difference
     return derivatives, differences, has_depth
+
+
+def _compare_points(
+    view: _ViewSamples, points: NDArray[np.float64], numbers: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]:
+    """Compare the depth of points with the corrected depth of a view.
+
+    Returns
+    -------
+    Differences (k,) of the logarithms, predicted depth, and True where the view has depth; else 0 and 1.
+    """
+    predicted, seen, known = _project(view, points)
+    expected = numbers[0] * predicted + numbers[1]
+    known &= expected > 0
+    seen, expected, predicted = (np.where(known, one, 1.0) for one in (seen, expected, predicted))
+    return np.where(known, np.log(seen / expected), 0.0), predicted, known
 
 
 def _measure(views: Sequence[_ViewSamples], links: _Links, factors: NDArray[np.float64]) -> float:
@@ -278,8 +314,6 @@ def _fit(views: Sequence[_ViewSamples], links: _Links) -> NDArray[np.float64]:
         change = (_identity(count) - factors) / unit
         matrix[np.diag_indices(2 * count)] += prior
         right += prior * change.reshape(-1)
-        matrix[1::2, 1::2] += _MEAN_WEIGHT * len(size) / count
-        right[1::2] += _MEAN_WEIGHT * len(size) / count * change[:, 1].sum()
         factors = factors + np.linalg.solve(matrix, right).reshape(-1, 2) * unit
         factors[:, 0] = factors[:, 0].clip(1 - _MAX_CHANGE, 1 + _MAX_CHANGE)
         factors[:, 1] = factors[:, 1].clip(-_MAX_CHANGE * depth, _MAX_CHANGE * depth)

@@ -152,6 +152,20 @@ def test_views_without_overlap_are_not_changed(tmp_path):
         np.testing.assert_allclose(read_depth(frame), exact, rtol=1e-6)
 
 
+def test_a_view_without_valid_depth_is_not_compared(tmp_path):
+    depth = VIEWS.depth.copy()
+    depth[2] = 0
+    VIEWS.write(tmp_path, depth=depth)
+    scan = read_scan(tmp_path)
+    np.testing.assert_allclose(read_depth(scan.frames[1]), VIEWS.depth[1], rtol=1e-6)
+
+
+def test_a_single_view(tmp_path):
+    arrays = {name: np.asarray(array)[:1] for name, array in VIEWS.to_arrays().items()}
+    np.savez(tmp_path / "predictions.npz", **arrays)
+    assert len(read_scan(tmp_path).frames) == 1
+
+
 def test_scale_applies_to_poses_and_depth(tmp_path):
     VIEWS.write(tmp_path)
     scan = read_scan(tmp_path, ScanParams(scale=2.0))
