@@ -32,30 +32,41 @@ pub fn find_intersecting(
     let box_of = |t: usize| bounding_box(corners(t).into_iter().copied());
     let (tree, order) = Bvh::new(proper.len(), threads, |i| box_of(proper[i] as usize));
     let in_slots: Vec<u32> = order.iter().map(|&i| proper[i as usize]).collect();
-    // Processed in slot order, because triangles close in space are searched together.
-    let mut found = vec![NO_TRIANGLE; in_slots.len()];
-    for (number, part) in found.chunks_mut(TRIANGLES_PER_CHECK).enumerate() {
-        progress.report((number * TRIANGLES_PER_CHECK) as u64, in_slots.len() as u64)?;
-        fill(part, threads, |i| {
-            let t = in_slots[number * TRIANGLES_PER_CHECK + i] as usize;
-            let own = box_of(t);
-            let mut met = NO_TRIANGLE;
-            let meets = |other: usize| {
-                let (Some(axis), Some(other_axis)) = (flat[t], flat[other]) else { return false };
-                other != t
-                    && boxes_overlap(&own, &box_of(other))
-                    && triangles_intersect(points, [triangles[t], triangles[other]], [axis, other_axis])
-            };
-            let visit = |slot: u32| {
-                let other = in_slots[slot as usize];
-                if meets(other as usize) {
-                    met = other;
-                }
-                met == NO_TRIANGLE
-            };
-            tree.visit_overlapping(&own[0], &own[1], |_, _| false, visit);
-            met
-        });
+    // Processed in slot order, because triangles close in space are searched together. Most meshes have no
+    // intersection, and then each pair is tested once. Otherwise the search is repeated with all pairs, because
+    // a triangle may only intersect triangles of lower slots.
+    let count = in_slots.len() as u64;
+    let mut search = |tests_both: bool| -> Result<Vec<u32>, KernelError> {
+        let mut found = vec![NO_TRIANGLE; in_slots.len()];
+        for (number, part) in found.chunks_mut(TRIANGLES_PER_CHECK).enumerate() {
+            let first = number * TRIANGLES_PER_CHECK;
+            progress.report(first as u64 + if tests_both { count } else { 0 }, 2 * count)?;
+            fill(part, threads, |i| {
+                let t = in_slots[first + i] as usize;
+                let own = box_of(t);
+                let mut met = NO_TRIANGLE;
+                let meets = |other: usize| {
+                    let (Some(axis), Some(other_axis)) = (flat[t], flat[other]) else { return false };
+                    other != t
+                        && boxes_overlap(&own, &box_of(other))
+                        && triangles_intersect(points, [triangles[t], triangles[other]], [axis, other_axis])
+                };
+                let visit = |slot: u32| {
+                    let other = in_slots[slot as usize];
+                    if (tests_both || slot as usize > first + i) && meets(other as usize) {
+                        met = other;
+                    }
+                    met == NO_TRIANGLE
+                };
+                tree.visit_overlapping(&own[0], &own[1], |_, _| false, visit);
+                met
+            });
+        }
+        Ok(found)
+    };
+    let mut found = search(false)?;
+    if found.iter().any(|&other| other != NO_TRIANGLE) {
+        found = search(true)?;
     }
     let mut met = vec![NO_TRIANGLE; triangles.len()];
     in_slots.iter().zip(&found).for_each(|(&t, &other)| met[t as usize] = other);
@@ -93,9 +104,9 @@ fn triangles_intersect(points: &[Vec3], [a, b]: [[u32; 3]; 2], [axis_a, axis_b]:
             let (Some(p), Some(q)) = (one(a, b), one(b, a)) else { return false };
             let mut edge = a.into_iter().filter(shared);
             let (Some(u), Some(v)) = (edge.next(), edge.next()) else { return false };
-            let sides = [p, q].map(|w| doubled_projected_area(at(u), at(v), at(w), axis_a) > 0.0);
+            let side = |w| doubled_projected_area(at(u), at(v), at(w), axis_a) > 0.0;
             // Folded onto each other: coplanar, on the same side of the shared edge.
-            orientation(at(u), at(v), at(p), at(q)) == 0.0 && sides[0] == sides[1]
+            orientation(at(u), at(v), at(p), at(q)) == 0.0 && side(p) == side(q)
         }
         _ => false,
     }
