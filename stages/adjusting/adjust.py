@@ -61,7 +61,7 @@ if TYPE_CHECKING:
 
     from scanloom.stages.params.keywords import AdjustKeywords
 
-RESULT_VERSION = 10
+RESULT_VERSION = 11
 
 # Maximum relative rise of the median transfer error when silhouettes correct the colour camera.
 _MAX_ERROR_RISE = 0.05

@@ -24,6 +24,9 @@ MAX_WIDTH_PX = 960
 # Maximum width of depth maps, pixels (wider ones are subsampled); maximum number of keypoints per view.
 _MAX_DEPTH_WIDTH_PX = 640
 _MAX_KEYPOINTS = 1500
+# Images with at least this many pixels are not doubled for detection: poses are as accurate without it, in a
+# fourth of the time.
+_MIN_PIXELS_WITHOUT_DOUBLING = 640 * 360
 # Contrast threshold of SIFT, lower than its default: smooth or blurred surfaces have no stronger keypoints.
 _CONTRAST = 0.025
 # Maximum relative depth range in a window of 3 × 3 pixels, and minimum number of its pixels with depth.
@@ -136,8 +139,9 @@ def read_adjustment_view(frame: Frame) -> AdjustmentView:
     if grey.shape[1] > MAX_WIDTH_PX:
         size = (MAX_WIDTH_PX, max(round(grey.shape[0] * MAX_WIDTH_PX / grey.shape[1]), 1))
         grey = np.asarray(cv2.resize(grey, size, interpolation=cv2.INTER_AREA), np.uint8)
-    found = detect_keypoints(grey, _MAX_KEYPOINTS, contrast=_CONTRAST)
     height, width = grey.shape
+    is_doubled = width * height < _MIN_PIXELS_WITHOUT_DOUBLING
+    found = detect_keypoints(grey, _MAX_KEYPOINTS, contrast=_CONTRAST, is_doubled=is_doubled)
     step = max(-(-depth.shape[1] // _MAX_DEPTH_WIDTH_PX), 1)
     given = frame.camera
     return AdjustmentView(

@@ -1,4 +1,4 @@
-"""Mutual nearest descriptors, compared with a brute-force search over all pairs."""
+"""Mutual nearest descriptors, compared with a brute-force search over all pairs; places of keypoints."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from scanloom.stages import _kernels
-from scanloom.stages.frames.features import compute_root_sift, match_descriptors
+from scanloom.stages.frames.features import compute_root_sift, detect_keypoints, match_descriptors
 
 
 def make_descriptors(rng: np.random.Generator, count: int) -> NDArray[np.uint8]:
@@ -47,3 +47,17 @@ def test_invalid_descriptors_are_refused(shape: tuple[int, int], distinct: float
         _kernels.match_descriptors(
             np.zeros(shape, np.uint8), np.zeros(shape, np.uint8), max_distance_ratio=distinct
         )
+
+
+@pytest.mark.parametrize("size", [(480, 640), (361, 641)])
+def test_keypoints_without_doubling_are_at_the_same_places(size: tuple[int, int]) -> None:
+    v, u = np.indices(size, np.float64)
+    rng = np.random.default_rng(3)
+    centers = np.array([(x, y) for x in range(40, size[1] - 40, 60) for y in range(40, size[0] - 40, 60)])
+    centers = centers + rng.uniform(-10, 10, centers.shape)
+    image = np.full(size, 60.0)
+    for x, y in centers:
+        image += 120 * np.exp(-((u - x) ** 2 + (v - y) ** 2) / (2 * 4.0**2))
+    found = detect_keypoints(np.asarray(image.clip(0, 255), np.uint8), 1000, is_doubled=False).pixels
+    distances = np.linalg.norm(found[:, None] - centers[None], axis=2).min(axis=0)
+    assert (distances < 0.05).mean() > 0.95
