@@ -2,7 +2,8 @@
 import { BufferGeometry, Float32BufferAttribute, Group, LineBasicMaterial, LineSegments, Points, PointsMaterial, Vector3 } from "../library.js";
 import { formatAngle, formatArea, formatLength } from "./lengths.js";
 
-const COLOR = "#e6009e";
+// Transparent materials are drawn last, over the photo of a camera.
+const PAINT = { color: "#e6009e", depthTest: false, transparent: true };
 
 // `count`: points of a complete measurement; an area ends on request.
 const KINDS = {
@@ -51,8 +52,8 @@ export function createMeasurements(scene, unit, change) {
       const group = new Group();
       group.position.copy(points[0]);
       group.add(
-        new Points(geometryOf(offsets), new PointsMaterial({ color: COLOR, size: 9, sizeAttenuation: false, depthTest: false })),
-        new LineSegments(geometryOf(ends), new LineBasicMaterial({ color: COLOR, depthTest: false })),
+        new Points(geometryOf(offsets), new PointsMaterial({ ...PAINT, size: 9, sizeAttenuation: false })),
+        new LineSegments(geometryOf(ends), new LineBasicMaterial(PAINT)),
       );
       group.children.forEach((one) => (one.renderOrder = 2));
       marks.add(group);

@@ -332,8 +332,9 @@ export function picture(canvas, overlay, scale, { files, models, cameras = [], u
     const point = state.measuring ? null : findPoint(offsetX, offsetY);
     if (point) center(point);
   });
-  // One finger scrolls the page vertically, and rotates horizontally; two fingers pan and zoom.
+  // One finger scrolls the page vertically, and rotates horizontally.
   canvas.style.touchAction = "pan-y";
+  // Browsers may scroll with two fingers too, which would end panning and zooming.
   for (const kind of ["touchstart", "touchmove"]) {
     canvas.addEventListener(kind, (event) => event.touches.length > 1 && event.cancelable && event.preventDefault(), { passive: false });
   }

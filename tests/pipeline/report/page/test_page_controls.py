@@ -17,7 +17,7 @@ from browsers import launch_browser
 from scanloom import Mesh
 from scanloom.pipeline.report.page.packing import PageModelSource, make_packed_page
 from scanloom.pipeline.report.page.page_header import PageFact, make_page_header
-from scanloom.pipeline.report.page.single_file_page import PageCamera
+from scanloom.pipeline.report.page.single_file_page import PageCamera, make_image_url
 from scanloom.stages.surface.up_direction import rotate_to_z
 
 pytestmark = pytest.mark.slow
@@ -52,9 +52,10 @@ EYES = [(1.0, -2.0, -0.4), (3.0, -1.0, 0.5)]
 @pytest.fixture(scope="module")
 def page_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     file = tmp_path_factory.mktemp("controls") / "page.html"
+    picture = make_image_url(cv2.imencode(".jpg", np.full((30, 40, 3), 90, np.uint8))[1].tobytes())
     facts = [PageFact(EVIL, EVIL, EVIL, "warnings"), PageFact("Size", "1 m")]
     report_data = {
-        "header": make_page_header(facts, EVIL),
+        "header": make_page_header(facts, EVIL, picture),
         "warnings": [EVIL],
         "tables": [
             {"title": "Rows", "head": ["a", "b"], "rows": [["1", "2"]] * 40},
@@ -184,7 +185,8 @@ def test_the_header_has_its_facts_and_interprets_no_text(page: Any) -> None:
     assert page.inner_text("h1") == page.inner_text("#subtitle") == EVIL
     assert page.locator("#facts dt").all_inner_texts() == [EVIL, "Size"]
     assert page.locator("#facts dd").all_inner_texts() == [EVIL, EVIL, "1 m"]
-    assert page.locator("#portrait").is_hidden()
+    assert page.locator("#portrait").is_visible()
+    assert page.evaluate("document.getElementById('portrait').naturalWidth") == 40
     page.locator("#facts a").click()
     assert page.evaluate("location.hash") == "#warnings"
     assert page.evaluate("scrollY") > 0
@@ -217,7 +219,7 @@ def test_two_fingers_zoom_and_pan(open_page: Open) -> None:
     touch(page, make_path((x - 30, y), (-70, 0)), make_path((x + 30, y), (70, 0)))
     assert get_distance(page) < 0.8 * away
     target = page.evaluate("scanloom.view().target")
-    touch(page, make_path((x - 30, y), (0, 80)), make_path((x + 30, y), (0, 80)))
+    touch(page, make_path((x - 30, y), (0, -90)), make_path((x + 30, y), (0, -90)))
     assert np.linalg.norm(np.subtract(page.evaluate("scanloom.view().target"), target)) > 0.02
     assert page.evaluate("scrollY") == 0
 
