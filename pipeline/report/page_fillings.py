@@ -68,7 +68,7 @@ def make_fillings_table(
     m = "m" if is_metric else "units"
     area = _format_area(float(metrics["filled_area_m2"]), is_metric=is_metric)
     return {
-        "title": f"Filled holes: {int(metrics['filled_holes']):,} of {area}, the largest ones",
+        "title": f"Filled holes: {int(metrics['filled_holes']):,}, {area} in total; the largest ones",
         "head": ["area", "border", f"location in scan coordinates, {m}", ""],
         "rows": [
             [
