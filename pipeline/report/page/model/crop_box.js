@@ -3,7 +3,7 @@ import { BufferGeometry, Float32BufferAttribute, LineBasicMaterial, LineSegments
 import { copyText } from "./saving.js";
 
 const AXES = ["x", "y", "z"];
-const DIGITS = 3; // of the longest side; finer steps than a thousandth make no visible difference
+const DIGITS = 4; // of the longest side: steps of at most a thousandth of it
 const STEP = 0.01; // ratio of a side that an arrow key moves
 const EDGES = [0, 1, 2].flatMap((axis) =>
   [0, 1].flatMap((a) =>

@@ -42,6 +42,7 @@ export function createMeasurements(scene, unit, change) {
   }
 
   function draw() {
+    marks.traverse((one) => one.geometry?.dispose());
     marks.clear();
     for (const { kind: shape, points } of [...entries, { kind, points: pending }]) {
       if (!points.length) continue;

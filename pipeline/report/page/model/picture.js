@@ -26,6 +26,7 @@ const STILL = 5; // maximum pointer movement of a click, pixels
 const BAR = 0.22; // maximum length of the scale bar, as a ratio of the width
 const SHORTEST = 130; // maximum length on narrow screens, pixels: the text must fit
 const ENOUGH = 5000; // maximum points sampled of a mesh to frame it
+const MOST_COSINE = 0.998; // between a ray and an axis along which the pointer moves a side
 const FRAMED = 1.08; // size of the view from a photo's camera, relative to the photo
 // Normals of the cutting planes in the scene; the side they point to is kept.
 const CUTS = { x: [-1, 0, 0], y: [0, 0, 1], z: [0, -1, 0] };
@@ -140,7 +141,8 @@ export function picture(canvas, overlay, scale, { files, models, cameras = [], u
     const cosine = line.dot(direction);
     const offset = point.clone().sub(origin);
     const along = (cosine * offset.dot(direction) - offset.dot(line)) / (1 - cosine * cosine);
-    return cropBox.toScan(point)[axis] + along;
+    // An axis that points at the camera has no position under the pointer.
+    return cropBox.toScan(point)[axis] + (Math.abs(cosine) < MOST_COSINE ? along : 0);
   }
 
   /** Draw a scale bar of a round length, measured at the camera target. */

@@ -354,7 +354,7 @@ def test_the_crop_box_is_dragged_typed_and_copied(page: Any) -> None:
     # A side does not pass the opposite side.
     page.get_by_label("Lowest x", exact=True).fill("9")
     page.keyboard.press("Tab")
-    assert float(page.inner_text("#option").split()[1]) == pytest.approx(1.099)
+    assert float(page.inner_text("#option").split()[1]) == pytest.approx(1.0999)
     page.click("#copy-box")
     page.click("#reset-box")
     np.testing.assert_allclose(
