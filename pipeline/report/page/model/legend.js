@@ -39,7 +39,7 @@ export function legend(place, scale, name, safe = false) {
     marks.append(mark);
   }
   const title = element("div", "unit");
-  title.textContent = `${name}, ${unit}`;
+  title.textContent = `${unit} · ${name}`;
   place.append(title, bars, marks);
 }
 

@@ -443,7 +443,7 @@ def test_colours_with_a_meaning_have_a_scale(page: Any) -> None:
     page.keyboard.press("2")
     wait_for(page, "!document.getElementById('legend').hidden")
     words = page.inner_text("#legend").split()
-    assert page.inner_text("#legend .unit") == "blue, mm"
+    assert page.inner_text("#legend .unit") == "mm · blue"
     assert {"+2", "-2", "+0.5", "-0.5"} <= set(words)
     bars = page.locator("#legend .share")
     # Highest share first.
