@@ -82,7 +82,7 @@ def view(
     if what.is_dir():
         content = make_run_page(what, page.max_bytes)
     else:
-        content = make_mesh_page(what.resolve().stem, read_with_up(what), page.max_bytes)
+        content = make_mesh_page(what, read_with_up(what), page.max_bytes)
     if target is None:
         with TemporaryDirectory(prefix="scanloom-") as empty:
             _serve(Path(empty), {PAGE_INDEX: content}, port, open_browser, out)

@@ -22,7 +22,8 @@ _WIDTH = 480
 _README = "../scan-to-mesh.jpg"
 _PHOTO = 5
 _QUALITY = 85
-_PAGE_SIZE = (900, 640)
+# Window of the page, and width of its picture.
+_PAGE_SIZE, _PAGE_WIDTH = (1200, 840), 900
 
 
 def main() -> None:
@@ -38,7 +39,7 @@ def main() -> None:
         _render_result(here, "before")
         _save_pictures([here / "before.png", here / "before-triangles.png"], "result.jpg", _WIDTH)
         _take_screenshot(here / "my_mesh" / "report.html", here / "page.png")
-        _save_pictures([here / "page.png"], "page.jpg", _PAGE_SIZE[0])
+        _save_pictures([here / "page.png"], "page.jpg", _PAGE_WIDTH)
         _run_scanloom(here, "run samples/rgbd -o my_mesh --set simplify.max_shape=5mm")
         _render_result(here, "after")
         _save_pictures([here / "after.png", here / "after-triangles.png"], "lighter.jpg", _WIDTH)

@@ -9,12 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scanloom.pipeline.report.page.packing import PageModelSource, compute_page_rotation, make_packed_page
+from scanloom.pipeline.report.page.page_header import PageFact, make_page_header
 from scanloom.pipeline.report.page.single_file_page import PageScale
 from scanloom.pipeline.report.report_summary import make_deviation_tables
 from scanloom.stages.comparing.change import Changes
 from scanloom.stages.comparing.deviation_palette import colorize_distances
 from scanloom.stages.comparing.deviations import Deviations
-from scanloom.stages.printing import format_position
+from scanloom.stages.printing import format_count, format_position
 from scanloom.stages.rendering.point_splats import make_point_splats
 from scanloom.stages.surface.mesh import Mesh
 from scanloom.stages.surface.point_cloud import is_cloud
@@ -68,8 +69,30 @@ def make_comparison_page(
         models["change"] = _make_page_source(_shade_colors(changes.painted_mesh), up, note)
     turn = compute_page_rotation(next(iter(models.values())).mesh)
     away = _FLY_DISTANCE_RATIO * float(np.linalg.norm(np.ptp(deviations.painted_mesh.vertices, axis=0)))
-    report_data = {"tables": list(_make_tables(metrics, turn, away))}
+    report_data = {
+        "header": _make_header(names, meshes, metrics["deviation"]),
+        "tables": list(_make_tables(metrics, turn, away)),
+    }
     return make_packed_page(f"{names[1]} compared with {names[0]}", models, max_bytes, report_data)
+
+
+def _make_header(
+    names: tuple[str, str], meshes: tuple[Mesh, Mesh], deviation: Mapping[str, Any]
+) -> dict[str, Any]:
+    facts = []
+    for letter, name, mesh in zip("AB", names, meshes, strict=True):
+        count = (
+            format_count(len(mesh.vertices), "point")
+            if is_cloud(mesh)
+            else format_count(len(mesh.triangles), "triangle")
+        )
+        facts.append(PageFact(letter, name, count))
+    farthest = max((abs(one["distance_m"]) for one in deviation["worst"]), default=0.0)
+    facts += [
+        PageFact("RMS deviation", f"{1000 * deviation['rms_m']:.3g} mm", "distance of B from A"),
+        PageFact("Largest deviation", f"{1000 * farthest:.3g} mm", "of samples and vertices"),
+    ]
+    return make_page_header(facts)
 
 
 def _make_page_source(mesh: Mesh, up: tuple[float, float, float] | None, note: str = "") -> PageModelSource:
@@ -128,7 +151,7 @@ def _make_tables(
     deviation = metrics["deviation"]
     tables = [
         *make_deviation_tables(
-            deviation, None, make_targets(deviation["worst"]), "Deviation of B from A, sampled"
+            deviation, None, make_targets(deviation["worst"]), "Deviation of B from A, sampled", ""
         ),
         _make_distance_table(metrics["distance"]),
     ]

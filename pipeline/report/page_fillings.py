@@ -19,6 +19,9 @@ from scanloom.stages.surface.formats.ply import read_vertex_values
 from scanloom.stages.surface.mesh import Mesh
 from scanloom.stages.surface.topology import compute_areas
 
+# Smaller lengths and areas are given in millimetres and square millimetres.
+_MIN_METRES, _MIN_SQUARE_METRES = 0.1, 0.001
+
 
 def read_filled_colormap(path: Path, mesh: Mesh) -> VertexColormap | None:
     """Make the colormap that marks filled holes; None without filled holes.
@@ -62,15 +65,15 @@ def make_fillings_table(
     fillings = metrics.get("largest_fillings", [])
     if not fillings:
         return None
-    m, m2 = ("m", "m²") if is_metric else ("units", "units²")
-    area = f"{float(metrics['filled_area_m2']):.3g} {m2}"
+    m = "m" if is_metric else "units"
+    area = _format_area(float(metrics["filled_area_m2"]), is_metric=is_metric)
     return {
-        "title": f"Filled holes: {int(metrics['filled_holes']):,} of {area}, the largest ones",
+        "title": f"Filled holes: {int(metrics['filled_holes']):,}, {area} in total; the largest ones",
         "head": ["area", "border", f"location in scan coordinates, {m}", ""],
         "rows": [
             [
-                f"{float(one['area_m2']):.3g} {m2}",
-                f"{float(one['border_m']):.3g} {m}",
+                _format_area(float(one["area_m2"]), is_metric=is_metric),
+                _format_length(float(one["border_m"]), is_metric=is_metric),
                 format_position(one["point_m"]),
             ]
             for one in fillings
@@ -79,4 +82,17 @@ def make_fillings_table(
             {"target": (rotation @ np.array(one["point_m"], np.float64)).tolist(), "away": away}
             for one in fillings
         ],
+        "folded": True,
     }
+
+
+def _format_area(area: float, *, is_metric: bool) -> str:
+    if not is_metric:
+        return f"{area:.3g} units²"
+    return f"{area:.3g} m²" if area >= _MIN_SQUARE_METRES else f"{1e6 * area:,.3g} mm²"
+
+
+def _format_length(length: float, *, is_metric: bool) -> str:
+    if not is_metric:
+        return f"{length:.3g} units"
+    return f"{length:.3g} m" if length >= _MIN_METRES else f"{1e3 * length:.3g} mm"

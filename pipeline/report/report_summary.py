@@ -9,6 +9,9 @@ from typing import Any
 from scanloom.stages.diagnostics.diagnostic import Diagnostic, Severity
 from scanloom.stages.printing import format_position, format_upper_bound
 
+# Depths at which the noise of depth images is listed, metres.
+_NOISE_DEPTHS_M = (1.0, 2.0)
+
 
 def summarize_report(report: Mapping[str, Any]) -> dict[str, Any]:
     """Convert report.json to the report data of `make_single_file_page`, warnings first."""
@@ -31,11 +34,13 @@ def summarize_report(report: Mapping[str, Any]) -> dict[str, Any]:
             for stage, about in stages.items()
         ]
         head = ["stage", "this run", "computed in", "memory", "reason"]
-        tables.append({"title": "Stages", "head": head, "rows": rows})
+        tables.append({"title": "Stages", "head": head, "rows": rows, "folded": True})
     skipped = list_skipped_frames(report)
     if skipped:
         rows = [[frame, reason] for frame, reason in skipped.items()]
-        tables.append({"title": "Skipped frames", "head": ["frame", "reason"], "rows": rows})
+        tables.append({
+            "title": "Skipped frames", "head": ["frame", "reason"], "rows": rows, "folded": True
+        })  # fmt: skip
     texts = []
     if stages:
         texts = [
@@ -64,7 +69,8 @@ def make_deviation_tables(
     deviation: Mapping[str, Any],
     proven_bound: float | None,
     targets: Sequence[Mapping[str, Any]],
-    title: str = "Deviation of the result from the refined mesh, sampled",
+    title: str = "Simplification error",
+    text: str = "Distance of the result from the refined mesh. Errors of the scan are not included.",
     *,
     is_metric: bool = True,
 ) -> list[dict[str, Any]]:
@@ -75,13 +81,14 @@ def make_deviation_tables(
     deviation : metrics of `scanloom.Deviations`.
     proven_bound : proven bound in metres; None without one.
     targets : camera targets of the worst locations, as for `make_single_file_page`.
-    title : title of the first table.
+    title, text : title and explanation of the first table.
     is_metric : True if lengths are in metres; False if in units of the scan.
     """
     unit_factor, small, large = (1000, "mm", "m") if is_metric else (1, "units", "units")
     percentiles = deviation["absolute_percentiles_m"]
     rows = [
-        [f"{p} % are within", f"{_format_small(unit_factor * d)} {small}"] for p, d in percentiles.items()
+        [f"{p} % of the surface within", f"{_format_small(unit_factor * d)} {small}"]
+        for p, d in percentiles.items()
     ]
     farthest = max((abs(one["distance_m"]) for one in deviation["worst"]), default=0.0)
     rows.append(["maximum of samples and vertices", f"{unit_factor * farthest:.4g} {small}"])
@@ -96,7 +103,7 @@ def make_deviation_tables(
     if deviation["delta_e_2000"] is not None:
         rows.append(["mean colour difference ΔE2000", f"{deviation['delta_e_2000']['mean']:.3g}"])
     return [
-        {"title": title, "head": ["", ""], "rows": rows},
+        {"title": title, "text": text, "head": ["", ""], "rows": rows},
         {
             "title": "Largest deviations",
             "head": ["deviation", f"location in scan coordinates, {large}", ""],
@@ -107,6 +114,43 @@ def make_deviation_tables(
             "places": list(targets),
         },
     ]
+
+
+def make_noise_table(report: Mapping[str, Any], *, is_metric: bool = True) -> dict[str, Any] | None:
+    """Make the table of the measured noise of a scan; None without measurements.
+
+    Parameters
+    ----------
+    report : content of report.json.
+    is_metric : True if lengths are in metres; False if in units of the scan.
+    """
+    unit_factor, small = (1000, "mm") if is_metric else (1, "units")
+    fuse = get_nested(report, "stages", "fuse", "metrics", default={})
+    rows = []
+    noise = get_surface_noise(report)
+    if noise is not None:
+        rows.append(["standard deviation of the surface, median", f"{unit_factor * noise:.3g} {small}"])
+    constant, quadratic = fuse.get("depth_noise_constant_m"), fuse.get("depth_noise_quadratic_per_m")
+    if constant is not None and quadratic is not None and is_metric:
+        for z in _NOISE_DEPTHS_M:
+            deviation = unit_factor * (float(constant) + float(quadratic) * z * z)
+            rows.append([f"noise of depth images at {z:g} m", f"{deviation:.3g} {small}"])
+    if fuse.get("voxel_size_m") is not None:
+        rows.append(["voxel size", f"{unit_factor * float(fuse['voxel_size_m']):.3g} {small}"])
+    score = get_nested(report, "held_out", "psnr_affine_db")
+    if score is not None:
+        rows.append(["agreement with held-out photos (PSNR)", f"{float(score):.1f} dB"])
+    text = (
+        "Disagreement of the frames with each other. An error that all frames share, such as a wrong scale, "
+        "is not included: check a known length with Measure."
+    )
+    return {"title": "Scan noise", "text": text, "head": ["", ""], "rows": rows} if rows else None
+
+
+def get_surface_noise(report: Mapping[str, Any]) -> float | None:
+    """Return the median standard deviation of the surface in metres; None if not measured."""
+    noise = get_nested(report, "stages", "refine", "metrics", "deviation_median_m")
+    return float(noise) if noise else None
 
 
 def _format_small(value: float) -> str:

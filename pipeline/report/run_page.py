@@ -27,6 +27,12 @@ from scanloom.pipeline.report.page.packing import (
     compute_page_rotation,
     make_packed_page,
 )
+from scanloom.pipeline.report.page.page_header import (
+    PageFact,
+    describe_mesh,
+    format_file_size,
+    make_page_header,
+)
 from scanloom.pipeline.report.page_cameras import convert_parse_errors, read_cameras
 from scanloom.pipeline.report.page_colormaps import make_deviation_colormap, make_photo_count_colormap
 from scanloom.pipeline.report.page_coverage import read_coverage
@@ -35,8 +41,10 @@ from scanloom.pipeline.report.report_summary import (
     get_nested,
     list_skipped_frames,
     make_deviation_tables,
+    make_noise_table,
     summarize_report,
 )
+from scanloom.pipeline.report.run_header import make_run_header
 from scanloom.stages import Mesh
 from scanloom.stages.diagnostics.errors import InputError
 from scanloom.stages.files.documents import read_json
@@ -51,9 +59,15 @@ _FLY_DISTANCE_RATIO = 0.25
 _SAME_VERTEX_RATIO = 1e-5
 
 
-def make_mesh_page(name: str, mesh: Mesh, max_bytes: int) -> bytes:
-    """Create the page of a mesh; at most `max_bytes` if possible."""
-    return make_packed_page(name, {name: PageModelSource(mesh)}, max_bytes)
+def make_mesh_page(file: Path, mesh: Mesh, max_bytes: int) -> bytes:
+    """Create the page of a mesh file; at most `max_bytes` if possible."""
+    name = file.resolve().stem
+    facts = [
+        *describe_mesh(mesh, compute_page_rotation(mesh)),
+        PageFact("File", format_file_size(file.stat().st_size), file.name),
+    ]
+    report_data = {"header": make_page_header(facts)}
+    return make_packed_page(name, {name: PageModelSource(mesh)}, max_bytes, report_data)
 
 
 def make_run_page(folder: Path, max_bytes: int) -> bytes:
@@ -101,6 +115,7 @@ def make_run_page(folder: Path, max_bytes: int) -> bytes:
         fillings = make_fillings_table(report, rotation, away, is_metric=is_metric)
     if fillings is not None:
         report_data["tables"] = [fillings, *report_data.get("tables", ())]
+    max_deviation = None
     if stored is not None:
         bound, proven = _read_bounds(folder / REPORT, report)
         with convert_parse_errors(folder / PICTURES / FIGURES):
@@ -111,10 +126,17 @@ def make_run_page(folder: Path, max_bytes: int) -> bytes:
             ]
             within = None if bound is None else stored.compute_ratio_within(-bound, bound)
             metrics = {**stored.metrics, "tolerance_m": bound, "within_ratio": within}
-            report_data["tables"] = [
-                *make_deviation_tables(metrics, proven, targets, is_metric=is_metric),
-                *report_data.get("tables", ()),
-            ]
+            error, largest = make_deviation_tables(metrics, proven, targets, is_metric=is_metric)
+            report_data["tables"] = [error, largest | {"folded": True}, *report_data.get("tables", ())]
+            max_deviation = max((abs(one["distance_m"]) for one in stored.metrics["worst"]), default=0.0)
+    with convert_parse_errors(folder / REPORT):
+        noise = make_noise_table(report, is_metric=is_metric)
+        header = make_run_header(
+            folder / name, result, rotation, report, report_data.get("warnings", ()), max_deviation
+        )
+    report_data["header"] = header
+    if noise is not None:
+        report_data["tables"] = [noise, *report_data.get("tables", ())]
     coverage = read_coverage(folder, result.up, rotation, is_metric=is_metric)
     if coverage is not None:
         models["coverage"] = coverage.source

@@ -11,10 +11,13 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+from browsers import launch_browser
 from coloured_meshes import sheet
 
 from scanloom.stages import lod
+from scanloom.stages.surface.formats.ply import read_ply
 
 Run = Callable[..., Any]
 
@@ -58,6 +61,33 @@ def test_json_has_the_address_and_open_starts_a_browser(
     assert asked == [json.loads(ran.stdout)["address"]]
     assert scanloom("view", tmp_path).exit_code == 0
     assert len(asked) == 1
+
+
+@pytest.mark.slow
+def test_the_crop_box_of_a_page_is_an_option_of_fuse(scanloom: Run, tiny_scan: Path, tmp_path: Path) -> None:
+    fuse = ("fuse", tiny_scan, "--voxel-size", 0.02)
+    assert scanloom(*fuse, tmp_path / "ball.ply").exit_code == 0
+    assert scanloom("view", tmp_path / "ball.ply", "-o", tmp_path / "ball.html").exit_code == 0
+    with launch_browser() as chromium:
+        page = chromium.new_page()
+        page.goto((tmp_path / "ball.html").as_uri())
+        page.wait_for_selector("#message", state="hidden", timeout=60_000)
+        page.select_option("#cut", "box")
+        for name, value in (("Lowest x", "-0.15"), ("Highest y", "0.1"), ("Highest z", "1.1")):
+            page.get_by_label(name, exact=True).fill(value)
+            page.keyboard.press("Tab")
+        option = page.inner_text("#option").split()
+    ran = scanloom(*fuse, *option, tmp_path / "cropped.ply", "--json")
+    assert ran.exit_code == 0, ran.stderr
+    assert ran.json["crop"]["box_m"] == [float(word) for word in option[1:]]
+    low, high = np.array(option[1:4], float), np.array(option[4:], float)
+    assert (low[0], high[1], high[2]) == (-0.15, 0.1, 1.1)
+    full, cropped = (read_ply(tmp_path / f"{name}.ply").vertices for name in ("ball", "cropped"))
+    assert (cropped > low - 0.02).all()
+    assert (cropped < high + 0.02).all()
+    inside = full[((full > low + 0.04) & (full < high - 0.04)).all(axis=1)]
+    assert 100 < len(inside) < len(full)
+    assert {tuple(row) for row in inside.tolist()} <= {tuple(row) for row in cropped.tolist()}
 
 
 @pytest.mark.parametrize(

@@ -104,7 +104,7 @@ def make_packed_page(
 
     Parameters
     ----------
-    title, report_data, cameras : see `make_single_file_page`.
+    title, report_data, cameras : see `make_single_file_page`; `rotation` is added.
     models : models in a common frame, with a common up direction.
     """
     cameras, photos = _limit_photos(cameras, max_bytes // _PHOTOS_DIVISOR)
@@ -116,6 +116,8 @@ def make_packed_page(
                 most_bytes=max_bytes,
             )
         )
+    rotation = compute_page_rotation(next(iter(models.values())).mesh)
+    report_data = {**(report_data or {}), "rotation": rotation.ravel().tolist()}
     first, *others = (_PackingPlan.from_source(name, shown) for name, shown in models.items())
     plans = [
         first.reduce(max_bytes / (_BYTES_PER_TRIANGLE * max(first.triangles, 1))),

@@ -8,7 +8,8 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
-from scanloom.pipeline.report.page.packing import PageModelSource, make_packed_page
+from scanloom.pipeline.report.page.packing import PageModelSource, compute_page_rotation, make_packed_page
+from scanloom.pipeline.report.page.page_header import describe_mesh, make_page_header
 from scanloom.stages.diagnostics.codes import USAGE_VALUE_INVALID
 from scanloom.stages.diagnostics.collector import collecting
 from scanloom.stages.diagnostics.diagnostic import Diagnostic
@@ -47,9 +48,9 @@ class Page:
         return format_line(self, (self.title, size, "displayed in a notebook", 'or save("FILE.html")'))
 
     def _repr_html_(self) -> str:
-        # A sandboxed iframe: the page cannot access the notebook.
+        # A sandboxed iframe: the page cannot access the notebook. Downloads are for the buttons of the page.
         return (
-            f'<iframe title="{escape(self.title)}" sandbox="allow-scripts" '
+            f'<iframe title="{escape(self.title)}" sandbox="allow-scripts allow-downloads" '
             f'style="width:{escape(self.width)};height:{self.height}px;border:0" '
             f'srcdoc="{escape(self.html.decode())}"></iframe>'
         )
@@ -112,7 +113,9 @@ def show(
         meshes = {name: _get_mesh(one, name) for name, one in models.items()}
         page_up = meshes[title].up if up is None else _parse_direction(up)
         sources = {name: PageModelSource(mesh.with_(up=page_up)) for name, mesh in meshes.items()}
-        html = make_packed_page(title, sources, int(1e6 * page_size))
+        mesh = sources[title].mesh
+        header = make_page_header(describe_mesh(mesh, compute_page_rotation(mesh)))
+        html = make_packed_page(title, sources, int(1e6 * page_size), {"header": header})
     return Page(title=title, html=html, width=width, height=height, diagnostics=tuple(diagnostics))
 
 

@@ -130,18 +130,19 @@ def make_single_file_page(
     ----------
     title : page title.
     models : one or more models in the same upright frame.
-    report_data : JSON-ready report data. `warnings`: list of sentences. `tables`: each with `title`, `head`,
-        `rows`
-        of text, and `places` to fly to, with `target` (3,) in the upright frame, z up, and the distance
-        `away` or the viewpoint `eye` (3,). `texts`: each with `title` and `text`. `unit`: unit of lengths, if
-        not metres.
+    report_data : JSON-ready report data. `header`: see `make_page_header`. `warnings`: list of sentences.
+        `tables`: each with `title`, `head`, `rows` of text, optionally an explanation `text`, True in
+        `folded`, and `places` to fly to, with `target` (3,) in the upright frame, z up, and the distance
+        `away` or the viewpoint `eye` (3,). `texts`: each with `title` and `text`. `unit`: unit of lengths,
+        if not metres. `rotation`: row-major (3, 3) rotation from scan coordinates to the upright frame; none
+        by default.
     cameras : cameras of the scan, in order.
     """
     content = {
         "title": title,
         "files": [base64.b64encode(model.glb).decode() for model in models],
         "models": [*_describe_models(models), *_describe_colorings(models)],
-        "cameras": [{**vars(camera), "photo": _to_data_url(camera.photo)} for camera in cameras],
+        "cameras": [{**vars(camera), "photo": make_image_url(camera.photo)} for camera in cameras],
         **(report_data or {}),
     }
     imports = {f"scanloom/{name}": _make_module_url(name) for name in _MODULES}
@@ -205,7 +206,8 @@ def is_page(path: Path) -> bool:
         return _PAGE_MARKER in file.read(1024)
 
 
-def _to_data_url(data: bytes | None) -> str | None:
+def make_image_url(data: bytes | None) -> str | None:
+    """Embed a JPEG file as a data URL."""
     return None if data is None else f"data:image/jpeg;base64,{base64.b64encode(data).decode()}"
 
 

@@ -150,7 +150,10 @@ def test_models_have_their_colours_and_the_deviation_its_scale(page: Any) -> Non
 
 
 def test_the_table_lists_deviations_and_moves_the_camera(page: Any) -> None:
-    text = page.inner_text("#told")
+    facts = page.locator("#facts dd").all_inner_texts()
+    assert facts[:4:2] == ["before.ply", "<i>after</i>.ply"]
+    assert page.evaluate("document.querySelector('i')") is None
+    text = page.inner_text("#report")
     assert "Deviation of B from A, sampled" in text
     assert "before.ply" in page.title()
     assert ("Farther than 200 mm" in text) == page.is_of_meshes
@@ -158,7 +161,7 @@ def test_the_table_lists_deviations_and_moves_the_camera(page: Any) -> None:
     assert "nan" not in text.lower()
     if page.is_of_meshes:
         # The largest deviation is on the new sphere; the table gives its position in file coordinates.
-        row = page.locator("table").nth(1).locator("tbody tr").first
+        row = page.locator("#report table").nth(1).locator("tbody tr").first
         place = np.array([float(word) for word in row.locator("td").nth(1).inner_text().split(",")])
         assert np.linalg.norm(place - FAR - (3, 0, 0)) == pytest.approx(0.5, abs=0.02)
         row.get_by_role("button").click()

@@ -146,7 +146,7 @@ def test_filled_holes_are_marked_and_listed(out: Path) -> None:
     assert scale["shares"][1] == pytest.approx(of_filled, abs=0.05)
     tables = read_page_content(page)["tables"]
     (table,) = (one for one in tables if one["title"].startswith("Filled holes"))
-    assert table["title"] == "Filled holes: 3 of 0.03 m², the largest ones"
+    assert table["title"] == "Filled holes: 3, 0.03 m² in total; the largest ones"
     assert table["rows"] == [["0.02 m²", "0.5 m", "0.25, 0.75, 0.1"]] * 2
     np.testing.assert_allclose(table["places"][0]["target"], FILLING["point_m"])
 

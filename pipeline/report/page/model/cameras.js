@@ -1,8 +1,8 @@
 // Cameras of a scan, drawn as pyramids, and the photo of one camera as an overlay seen from its position.
-import { BufferGeometry, DoubleSide, Float32BufferAttribute, LineBasicMaterial, LineSegments, Mesh, MeshBasicMaterial, SRGBColorSpace, Texture, Vector3 } from "../library.js";
+import { BufferGeometry, Color, DoubleSide, Float32BufferAttribute, LineBasicMaterial, LineSegments, Mesh, MeshBasicMaterial, SRGBColorSpace, Texture, Vector3 } from "../library.js";
 
 const SIZE = 0.035; // height of a pyramid, as a ratio of the model size
-const LINE = "#2f7dd1";
+const LINE = "#1f6fc8";
 const CHOSEN = "#e6009e";
 
 /** Convert a camera of the page to the scene: position `eye`, and image `corners` at 1 m depth. */
@@ -33,11 +33,7 @@ export function camerasOf(cameras, scene, change) {
   let wanted = null;
 
   function color(chosen) {
-    const colors = all.flatMap((_, number) => {
-      const hex = number === chosen ? CHOSEN : LINE;
-      const rgb = [1, 3, 5].map((from) => Number.parseInt(hex.slice(from, from + 2), 16) / 255);
-      return Array(16).fill(rgb).flat();
-    });
+    const colors = all.flatMap((_, number) => Array(16).fill(new Color(number === chosen ? CHOSEN : LINE).toArray()).flat());
     lines.geometry.setAttribute("color", new Float32BufferAttribute(colors, 3));
   }
 

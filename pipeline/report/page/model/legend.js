@@ -2,8 +2,8 @@
 
 const CLOSE = 0.06; // minimum distance of two labels, as a ratio of the scale
 
-/** Show a scale in an element, highest value first, with colour-blind safe colours if `safe`; hide it without a scale. */
-export function legend(place, scale, safe = false) {
+/** Show the scale `name` in an element, highest value first, with colour-blind safe colours if `safe`; hide it without a scale. */
+export function legend(place, scale, name, safe = false) {
   place.replaceChildren();
   place.hidden = !scale;
   if (!scale) return;
@@ -39,7 +39,7 @@ export function legend(place, scale, safe = false) {
     marks.append(mark);
   }
   const title = element("div", "unit");
-  title.textContent = unit;
+  title.textContent = `${unit} · ${name}`;
   place.append(title, bars, marks);
 }
 

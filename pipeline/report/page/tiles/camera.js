@@ -11,27 +11,52 @@ const TURN = Math.PI / 36; // rotation per arrow key
 const STEP = 0.85; // factor on the distance per + or - key
 // Minimum near plane as a ratio of the model radius: a smaller one would waste depth buffer precision.
 const NEAREST = 1e-3;
+// The initial direction is kept if it shows at least this ratio of the surface that the best direction shows.
+const SHOWN = 0.6;
+// Candidates for the best direction: steps around the up axis, and elevations in radians.
+const TURNS = 24;
+const ELEVATIONS = [0.4, 0.9];
 
 const intoScene = ([x, y, z]) => new Vector3(x, z, -y);
 export const outOfScene = ({ x, y, z }) => [x, -z, y];
 const cornersOf = ({ min, max }) =>
   [min.x, max.x].flatMap((x) => [min.y, max.y].flatMap((y) => [min.z, max.z].map((z) => new Vector3(x, y, z))));
 
+/** Return the projected area of the surface that faces a direction, from sampled area vectors. */
+const shownArea = (direction, areas) => areas.reduce((sum, area) => sum + Math.max(area.dot(direction), 0), 0);
+
+/** Return a direction that shows the surface: `usual`, unless the surface is edge-on or faces away there. */
+function chooseDirection(usual, areas) {
+  let [best, most] = [usual, shownArea(usual, areas) / SHOWN];
+  for (const elevation of ELEVATIONS) {
+    for (let turn = 0; turn < TURNS; turn++) {
+      const direction = new Vector3().setFromSphericalCoords(1, Math.PI / 2 - elevation, (2 * Math.PI * turn) / TURNS);
+      const shown = shownArea(direction, areas);
+      if (shown > most) [best, most] = [direction, shown];
+    }
+  }
+  return best;
+}
+
 /** Create a camera that orbits a model, controlled by pointer, wheel and keys; `onMove` is called after movements. */
 export function orbitingCamera(canvas, onMove) {
   const camera = new PerspectiveCamera(FIELD_OF_VIEW, 1);
   const controls = new OrbitControls(camera, canvas);
   controls.zoomToCursor = true;
+  // As in Blender: the middle button rotates, and with Shift pans.
+  controls.mouseButtons.MIDDLE = controls.mouseButtons.LEFT;
   controls.addEventListener("change", onMove);
   const whole = new Sphere(new Vector3(), 1);
-  let points = [new Vector3()]; // points that the overview must include
-  const look = FIRST_LOOK.clone(); // direction from the model to the camera in the overview
+  const seen = new Sphere(new Vector3(), 1); // sphere that must be between the near and far planes
+  let points = [new Vector3()]; // points of the model that the overview must include
+  let others = []; // further points that the overview must include
+  let look = FIRST_LOOK.clone(); // direction from the model to the camera in the overview
 
   /** Fit the near and far planes to the model. */
   function fitDepth() {
-    const away = camera.position.distanceTo(whole.center);
-    camera.near = Math.max(away - 1.05 * whole.radius, NEAREST * whole.radius);
-    camera.far = away + 1.05 * whole.radius;
+    const away = camera.position.distanceTo(seen.center);
+    camera.near = Math.max(away - 1.05 * seen.radius, NEAREST * whole.radius);
+    camera.far = away + 1.05 * seen.radius;
     camera.updateProjectionMatrix();
     camera.updateMatrixWorld();
   }
@@ -52,7 +77,7 @@ export function orbitingCamera(canvas, onMove) {
     const [across, high] = [[right, tall * camera.aspect], [up, tall]].map(([axis, slope]) => {
       // |x - eye| <= slope (away - z) for all points bounds the camera position from both sides.
       const [lower, upper] = [-1, 1].map((side) =>
-        points.reduce((most, point) => Math.max(most, (side * point.dot(axis)) / slope + point.dot(look)), -Infinity),
+        [...points, ...others].reduce((most, point) => Math.max(most, (side * point.dot(axis)) / slope + point.dot(look)), -Infinity),
       );
       return { eye: (slope * (upper - lower)) / 2, away: (upper + lower) / 2 };
     });
@@ -86,18 +111,27 @@ export function orbitingCamera(canvas, onMove) {
     fitDepth,
     showAll,
     /**
-     * Set the model: its box in the scene, its mean normal `facing` if it was seen from one side, and sample points
-     * `known` of its surface, which replace the corners of the box.
+     * Set the model: its box in the scene, its mean normal `facing` if it was seen from one side, sample points
+     * `known` of its surface, which replace the corners of the box, and area vectors of sampled triangles.
      */
-    setModel(box, facing, known) {
+    setModel(box, facing, known, areas = []) {
       points = known?.length ? known : cornersOf(box);
       const toward = facing ? intoScene(facing) : new Vector3();
       const front = new Vector3(toward.x, 0, toward.z);
       // A surface that faces up or down has no front side: keep the initial direction.
-      if (front.length() > LEVEL) look.copy(front.normalize()).setY(FIRST_LOOK.y / FIRST_LOOK.z).normalize();
+      const usual = front.length() > LEVEL ? front.normalize().setY(FIRST_LOOK.y / FIRST_LOOK.z).normalize() : FIRST_LOOK;
+      look = chooseDirection(usual, areas);
       box.getBoundingSphere(whole);
+      seen.copy(whole);
       controls.minDistance = NEAREST * whole.radius;
       controls.maxDistance = 100 * whole.radius;
+    },
+    /** Include further points in the overview and between the near and far planes. */
+    include(further) {
+      others = further;
+      seen.copy(whole);
+      for (const point of others) seen.expandByPoint(point);
+      fitDepth();
     },
     resize(width, height) {
       camera.aspect = width / height;

@@ -26,7 +26,7 @@ def test_the_frame_holds_the_page_and_nothing_else(page: Page) -> None:
     (source,) = re.findall(r'srcdoc="([^"]*)"></iframe>$', html)
     assert unescape(source).encode() == page.html
     assert html.count("<") == 2, "the frame, and its end"
-    assert 'sandbox="allow-scripts"' in html
+    assert 'sandbox="allow-scripts allow-downloads"' in html
     assert "height:300px" in html
 
 

@@ -1,52 +1,63 @@
+// Report data below the picture: warnings, tables, frames, texts.
 import { frames } from "./frames.js";
 import { plan } from "./plan.js";
+import { copyText } from "./saving.js";
 
-// Report data below the picture: warnings, tables, frames, texts.
+const MOST_COLUMNS = 4; // of a table next to another
 
 /** Show the report data in an element; no text is interpreted as HTML. */
-export function tell(place, { warnings = [], tables = [], texts = [], cameras = [], frames: sentence = "", unit = "m" }) {
+export function fillReport(place, { warnings = [], tables = [], texts = [], cameras = [], frames: sentence = "", unit = "m" }) {
   if (!warnings.length && !tables.length && !texts.length && !cameras.length) return;
-  document.body.classList.add("told");
+  document.body.classList.add("continued");
   if (warnings.length) {
-    place.append(heading("Warnings"));
+    place.append(Object.assign(heading("Warnings"), { id: "warnings" }));
     for (const text of warnings) place.append(element("p", text, "warning"));
   }
-  for (const { title, head, rows, places } of tables) {
-    place.append(heading(title), table(head, rows, places));
+  const columns = element("div", "", "columns");
+  for (const { title, text, head, rows, places } of tables.filter(({ folded }) => !folded)) {
+    const section = element("section", "");
+    // Long tables need the full width.
+    if (head.length > MOST_COLUMNS) section.style.gridColumn = "1 / -1";
+    section.append(heading(title));
+    if (text) section.append(element("p", text));
+    section.append(table(head, rows, places));
+    columns.append(section);
   }
+  if (columns.children.length) place.append(columns);
   if (cameras.length) {
     const chosen = (number) => {
       window.scanloom.showPhoto(number);
-      document.getElementById("picture").scrollIntoView({ block: "nearest" });
+      document.getElementById("stage").scrollIntoView({ block: "nearest" });
     };
-    place.append(heading("Frames"));
+    place.append(heading("Photos"));
     if (sentence) place.append(element("p", sentence));
     if (cameras.some(({ photo }) => photo)) place.append(frames(cameras, chosen));
     place.append(heading("Cameras from above"), plan(cameras, chosen, unit));
   }
-  for (const { title, text } of texts) {
-    place.append(folded(title, text));
-  }
+  const folded = [
+    ...tables.filter((one) => one.folded).map(({ title, text, head, rows, places }) => foldTable(title, text, table(head, rows, places))),
+    ...texts.map(({ title, text }) => foldText(title, text)),
+  ];
+  if (folded.length) place.append(heading("Details"), ...folded);
+}
+
+function foldTable(title, text, shown) {
+  const made = document.createElement("details");
+  made.append(element("summary", title));
+  if (text) made.append(element("p", text));
+  made.append(shown);
+  return made;
 }
 
 /** Create a collapsible text with a button that copies it. */
-function folded(title, text) {
+function foldText(title, text) {
   const made = document.createElement("details");
   const written = element("pre", text);
   written.tabIndex = 0;
   written.setAttribute("aria-label", title);
-  const copy = element("button", "copy");
+  const copy = element("button", "Copy");
   copy.type = "button";
-  copy.addEventListener("click", async () => {
-    try {
-      await navigator.clipboard.writeText(text);
-      copy.textContent = "copied";
-    } catch {
-      // Without clipboard access, select the text for manual copying.
-      getSelection().selectAllChildren(written);
-      written.focus();
-    }
-  });
+  copy.addEventListener("click", () => copyText(text, written, copy));
   made.append(element("summary", title), copy, written);
   return made;
 }
@@ -85,12 +96,12 @@ function table(head, rows, places) {
 
 /** Create a button that moves the view to a location, or to a suggested viewpoint of it. */
 function flight({ target, away, eye }) {
-  const button = element("button", "fly there");
+  const button = element("button", "Show");
   button.type = "button";
   button.addEventListener("click", () => {
     if (eye) window.scanloom.look({ eye, target });
     else window.scanloom.flyTo(target, away);
-    document.getElementById("picture").scrollIntoView({ block: "nearest" });
+    document.getElementById("stage").scrollIntoView({ block: "nearest" });
   });
   return button;
 }
