@@ -176,7 +176,7 @@ def _find_partners(views: Sequence[_ViewSamples]) -> list[list[int]]:
     poses = np.array([view.pose for view in views])
     cameras = np.array([(c.fx, c.fy, c.cx, c.cy, c.width, c.height) for c in (v.frame.camera for v in views)])
     fx, fy, cx, cy, width, height = cameras.T[:, :, None]
-    partners = []
+    partners: list[list[int]] = []
     for i, view in enumerate(views):
         if not len(view.values):
             partners.append([])
