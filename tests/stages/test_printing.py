@@ -70,6 +70,25 @@ def build_registration() -> Registration:
     )
 
 
+def build_structure() -> stages.Structure:
+    """Build a result of structure; a real one needs photos and an optional dependency."""
+    return stages.Structure(
+        frames=tuple(frames()),
+        frame_indices=(0, 1, 2, 3),
+        other_groups=(("7", "8"),),
+        unconnected=("9",),
+        skipped=(),
+        points=np.zeros((5, 3)),
+        colors=np.zeros((5, 3), np.uint8),
+        candidate_pairs=10,
+        verified_pairs=6,
+        reprojection_error_px=0.7,
+        model=None,
+        seconds=1.5,
+        diagnostics=(MESH_LEFT_OUT.warning("two photos do not connect"),),
+    )
+
+
 def simplify_with_each_method(mesh: Mesh) -> list[object]:
     """Simplify with each method; return the results, their details, a record and a replay."""
     bounds = {"certified": {"max_shape": 0.1}, "jia01": {}, "planar": {}}
@@ -136,6 +155,8 @@ def make_all_results():
         build_registration(),
         stages.adjust(scan),
         stages.texture(fused.mesh, scan),
+        stages.refine(fused.mesh, scan),
+        build_structure(),
         stages.depth(*pair, StereoRig(wide, wide, shifted, is_rectified=True), disparities=16),
         stages.stereo_disparity(*pair, 15),
         inspected,
