@@ -263,7 +263,9 @@ def _pack(
 
 
 def _read_map(array: ArchivedArray, shape: tuple[int, int, int], place: int) -> NDArray[np.float32]:
-    return np.array(array.read().reshape(shape)[place], np.float32)
+    # Values beyond single precision become infinite, which is missing depth.
+    with np.errstate(over="ignore"):
+        return np.array(array.read().reshape(shape)[place], np.float32)
 
 
 def _read_confidence(array: ArchivedArray, shape: tuple[int, int, int], place: int) -> NDArray[np.uint8]:
@@ -271,13 +273,14 @@ def _read_confidence(array: ArchivedArray, shape: tuple[int, int, int], place: i
 
 
 def _read_image(array: ArchivedArray, shape: tuple[int, int, int], place: int) -> ColorImage:
-    """Read an image with 0 to 255 or 0 to 1, channels first or last."""
+    """Read an image of integers from 0 to 255 or floats from 0 to 1, channels first or last."""
     count, height, width = shape
     for layout, to_last in (((count, 3, height, width), (1, 2, 0)), ((count, height, width, 3), (0, 1, 2))):
         if array.shape in (layout, (1, *layout)):
             image = array.read().reshape(layout)[place].transpose(to_last)
-            if image.dtype != np.uint8:
-                image = np.rint(np.nan_to_num(image) * 255).clip(0, 255)
+            if image.dtype.kind == "f":
+                image = np.rint(np.nan_to_num(image).clip(0, 1) * 255)
+            image = image.astype(np.int64).clip(0, 255)
             return np.ascontiguousarray(image, np.uint8)
     raise _create_shape_error(array.path, array.entry, str(array.shape), f"({count}, {height}, {width}, 3)")
 

@@ -41,7 +41,9 @@ def read_map(path: Path, shape: tuple[int, int]) -> NDArray[np.float32]:
             found=str(array.shape),
             expected=str(shape),
         )
-    return np.array(array.reshape(shape), np.float32)
+    # Values beyond single precision become infinite, which is missing depth.
+    with np.errstate(over="ignore"):
+        return np.array(array.reshape(shape), np.float32)
 
 
 def read_levels(path: Path, shape: tuple[int, int]) -> NDArray[np.uint8]:

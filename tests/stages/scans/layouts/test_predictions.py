@@ -152,6 +152,21 @@ def test_views_without_overlap_are_not_changed(tmp_path):
         np.testing.assert_allclose(read_depth(frame), exact, rtol=1e-6)
 
 
+@pytest.mark.parametrize("dtype", [np.uint8, np.int16, np.uint16, np.float16, np.float64])
+def test_images_of_any_number_type(tmp_path, dtype):
+    images = VIEWS.colors / (255 if np.dtype(dtype).kind == "f" else 1)
+    scan = read_scan(VIEWS.write(tmp_path, images=images.astype(dtype)))
+    np.testing.assert_array_equal(read_color(scan.frames[3]), VIEWS.colors[3])
+
+
+def test_depth_beyond_single_precision_is_missing(tmp_path):
+    depth = VIEWS.depth.astype(np.float64)
+    depth[1, 5, 5], depth[1, 6, 6] = 1e300, np.nan
+    found = read_depth(read_scan(VIEWS.write(tmp_path, depth=depth)).frames[1])
+    assert (found[5, 5], found[6, 6]) == (0, 0)
+    assert np.count_nonzero(found == 0) == 2
+
+
 def test_a_view_without_valid_depth_is_not_compared(tmp_path):
     depth = VIEWS.depth.copy()
     depth[2] = 0
