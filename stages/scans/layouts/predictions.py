@@ -40,7 +40,7 @@ from scanloom.stages.scans.layouts.shared.predicted_maps import (
 )
 from scanloom.stages.scans.layouts.shared.prediction_photos import match_photos
 from scanloom.stages.scans.model.missing_data import describe_missing_poses
-from scanloom.stages.scans.model.poses import check_rigid_pose, invert_pose
+from scanloom.stages.scans.model.poses import check_rigid_pose, invert_pose, parse_pose_matrix
 from scanloom.stages.scans.model.reading_params import ReadingParams
 from scanloom.stages.scans.model.scan import ColorImage, Frame, PackedImage, Pose, Scan, SkippedFrame
 from scanloom.stages.scans.trajectory import trajectory_formats as trajectories
@@ -344,12 +344,25 @@ def _read_view_files(folder: Path) -> _Prediction:
         if all(name in confidences for name in names)
         else None,
         colors=[colors.get(name) for name in names],
-        matrices=[np.array(table["intrinsics"], np.float64) for table in tables],
+        matrices=[
+            _parse_matrix(table["intrinsics"], cameras[name])
+            for name, table in zip(names, tables, strict=True)
+        ],
         poses=[
-            check_rigid_pose(np.array(table["pose"], np.float64), cameras[name])
+            check_rigid_pose(parse_pose_matrix(table["pose"], cameras[name], "pose"), cameras[name])
             for name, table in zip(names, tables, strict=True)
         ],
     )
+
+
+def _parse_matrix(value: object, path: Path) -> NDArray[np.float64]:
+    try:
+        matrix = np.array(value, np.float64)
+    except (TypeError, ValueError):
+        matrix = np.zeros(0)
+    if matrix.shape != (3, 3):
+        raise _create_shape_error(path, "intrinsics", str(matrix.shape), "(3, 3)")
+    return matrix
 
 
 LAYOUT = Layout(

@@ -59,18 +59,39 @@ def test_poses_and_focal_lengths(tmp_path):
     assert_views(read_scan(tmp_path))
 
 
-def test_files_of_cut3r(tmp_path):
+def write_view_files(root, **changes):
+    """Write the files of CUT3R, with changes of the camera of view 2."""
     for folder in ("depth", "conf", "color", "camera"):
-        (tmp_path / folder).mkdir()
+        (root / folder).mkdir()
     for number, pose in enumerate(VIEWS.poses):
         name = f"{number:06d}"
-        np.save(tmp_path / "depth" / f"{name}.npy", VIEWS.depth[number])
-        np.save(tmp_path / "conf" / f"{name}.npy", np.full((HEIGHT, WIDTH), 2.0))
-        cv2.imwrite(str(tmp_path / "color" / f"{name}.png"), VIEWS.colors[number][:, :, ::-1])
-        np.savez(tmp_path / "camera" / f"{name}.npz", pose=pose, intrinsics=VIEWS.intrinsics[0])
+        np.save(root / "depth" / f"{name}.npy", VIEWS.depth[number])
+        np.save(root / "conf" / f"{name}.npy", np.full((HEIGHT, WIDTH), 2.0))
+        cv2.imwrite(str(root / "color" / f"{name}.png"), VIEWS.colors[number][:, :, ::-1])
+        camera = {"pose": pose, "intrinsics": VIEWS.intrinsics[0]} | (changes if number == 2 else {})
+        np.savez(root / "camera" / f"{name}.npz", **camera)
+
+
+def test_files_of_cut3r(tmp_path):
+    write_view_files(tmp_path)
     scan = read_scan(tmp_path)
     assert_views(scan)
     np.testing.assert_array_equal(read_color(scan.frames[2]), VIEWS.colors[2])
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("pose", np.eye(3)),
+        ("pose", np.array("x")),
+        ("intrinsics", np.eye(3)[:2]),
+        ("intrinsics", np.array("x")),
+    ],
+)
+def test_a_camera_of_another_shape_is_refused(tmp_path, name, value):
+    write_view_files(tmp_path, **{name: value})
+    with pytest.raises(InputError, match=r"000002\.npz"):
+        read_scan(tmp_path)
 
 
 @pytest.mark.parametrize("has_images", [True, False])
