@@ -67,7 +67,6 @@ class VisualFile:
     ----------
     file : path relative to the folder of the model.
     material : material of all triangles; None without one.
-    vertices : number of vertices.
     """
 
     file: str
@@ -133,7 +132,8 @@ def _divide_by_material(mesh: Mesh) -> list[Mesh]:
     """Divide a mesh into meshes of one material each; textured ones have texture coordinates throughout."""
     texture = mesh.texture
     if texture is None:
-        return [_select_triangles(mesh, np.ones(len(mesh.triangles), bool))]
+        one = _select_triangles(mesh, np.ones(len(mesh.triangles), bool))
+        return [one] if len(one.vertices) >= _MIN_VERTICES else []
     ids = np.where(texture.has_uvs(), texture.material_ids, -1)
     divided = []
     for number in np.unique(ids).tolist():

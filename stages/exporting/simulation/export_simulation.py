@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from importlib.util import find_spec
@@ -67,6 +68,8 @@ _MIN_EXCESS_RATIO = 0.001
 # CoACD's concavity relative to the permitted excess. CoACD samples distances, so its result can exceed it.
 _CONCAVITY_RATIOS = (1.0, 0.7, 0.5)
 _MAX_IMAGE_SIZE = 16384
+# Decompositions, each with twice the excess, until the parts are smaller than the visual mesh.
+_MAX_ATTEMPTS = 3
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -79,7 +82,8 @@ class SimulationParams:
     max_excess: float | None = param(
         None,
         "Maximum distance by which collision geometry exceeds the object, which is proven. Default, not "
-        "required: 1 % of the bounding box's diagonal, or 2 % for an open surface.",
+        "required: 1 % of the bounding box's diagonal, or 2 % for an open surface. Up to four times as much, "
+        "if the parts would otherwise be larger than the mesh.",
         unit="m",
         low=0,
         low_open=True,
@@ -197,11 +201,21 @@ def _may_replace(folder: Path) -> bool:
 def _write_model(mesh: Mesh, folder: Path, params: SimulationParams, progress: Progress) -> SimulationResult:
     require_area(mesh, "mesh")
     mesh = _name_images(_turn_upright(mesh))
-    progress(0, 1)
-    bodies = [_build_body(_BODY_NAME, mesh, params)]
-    progress(1, 1)
+    geometry = build_solid(mesh)
+    limit = _choose_limit(geometry, params)
     with write_folder_atomically(folder, _may_replace, _FOLDER_DESCRIPTION) as draft:
-        written = [write_body_meshes(draft, body) for body in bodies]
+        for attempt in range(1, _MAX_ATTEMPTS + 1):
+            progress(attempt - 1, attempt)
+            body = _build_body(_BODY_NAME, mesh, geometry, limit, params.density)
+            files = write_body_meshes(draft, body)
+            is_small = files.collision_bytes <= files.visual_bytes
+            if is_small or params.max_excess is not None or attempt == _MAX_ATTEMPTS:
+                break
+            shutil.rmtree(draft / MESH_FOLDER)
+            limit *= 2
+        progress(attempt, attempt)
+        _report_body(body, limit, is_required=params.max_excess is not None)
+        bodies, written = [body], [files]
         images = {} if mesh.texture is None else {id(one): one.name for one in mesh.texture.images}
         write_usd_physics(
             draft / f"{_BODY_NAME}.usda",
@@ -271,39 +285,41 @@ def _name_images(mesh: Mesh) -> Mesh:
     return mesh.with_(texture=replace(mesh.texture, materials=materials))
 
 
-def _build_body(name: str, mesh: Mesh, params: SimulationParams) -> Body:
-    geometry = build_solid(mesh)
-    limit = _choose_limit(geometry, params)
-    parts, proof = _decompose(geometry, limit)
-    _report_collision(name, proof, limit, is_required=params.max_excess is not None)
+def _build_body(name: str, mesh: Mesh, geometry: SolidGeometry, limit_m: float, density: float) -> Body:
+    parts, proof = _decompose(geometry, limit_m)
     if geometry.is_solid:
         surfaces = [(geometry.surface.vertices, geometry.surface.triangles)]
     else:
         surfaces = [(part.vertices, part.triangles) for part in parts]
-        emit(
-            EXPORT_OPEN_BODY.warning(
-                "{name}: the surface is open, so the body is static, and its mass is that of its collision "
-                "parts",
-                name=name,
-            )
-        )
-    if geometry.cap_ratio > 0:
-        emit(
-            EXPORT_HOLES_CLOSED.warning(
-                "{name}: holes are closed with {percent:.2g} % of additional surface for mass and collision",
-                name=name,
-                percent=100 * geometry.cap_ratio,
-            )
-        )
     return Body(
         name=name,
         visual=mesh,
         parts=tuple(parts),
-        mass=compute_mass_properties(surfaces, params.density),
+        mass=compute_mass_properties(surfaces, density),
         is_static=not geometry.is_solid,
         proof=proof,
         cap_ratio=geometry.cap_ratio,
     )
+
+
+def _report_body(body: Body, limit_m: float, *, is_required: bool) -> None:
+    _report_collision(body.name, body.proof, limit_m, is_required=is_required)
+    if body.is_static:
+        emit(
+            EXPORT_OPEN_BODY.warning(
+                "{name}: the surface is open, so the body is static, and its mass is that of its collision "
+                "parts",
+                name=body.name,
+            )
+        )
+    if body.cap_ratio > 0:
+        emit(
+            EXPORT_HOLES_CLOSED.warning(
+                "{name}: holes are closed with {percent:.2g} % of additional surface for mass and collision",
+                name=body.name,
+                percent=100 * body.cap_ratio,
+            )
+        )
 
 
 def _choose_limit(geometry: SolidGeometry, params: SimulationParams) -> float:
