@@ -54,8 +54,8 @@ EXPORT_COLLISION_LOOSE = Code(
     "Collision geometry beyond its limit",
     """
 The proven distance by which the collision parts exceed the object, or by which they fail to contain its
-surface, is above the limit. `simulation.json` lists the parts. With `simulation.max_excess` given, this is an
-unmet requirement. Small details need many parts: allow more excess, or smooth the mesh.
+surface, is above the limit. `simulation.json` has the bound of each part. With `simulation.max_excess` given,
+this is an unmet requirement. Small details need many parts: allow more excess, or smooth the mesh.
 """,
     "model: the collision geometry reaches up to 3.2 mm outside the surface (limit 2 mm) in 4 of 61 parts.",
 )

@@ -102,6 +102,7 @@ def test_preset_sim_writes_a_folder(scanloom: Run, tmp_path: Path) -> None:
     write_mesh(tmp_path / "floor.ply", mesh.with_(vertices=mesh.vertices * (1, 1, 0), texture=None))
     target = tmp_path / "new" / "floor"
     words = ("export", tmp_path / "floor.ply", target, "--preset", "sim", "--up", "+z", "--json")
+    words += ("--set", "simulation.max_excess=10cm")
     ran = scanloom(*words)
     assert ran.exit_code == 0, ran.stderr
     (body,) = ran.json["bodies"]
@@ -112,6 +113,6 @@ def test_preset_sim_writes_a_folder(scanloom: Run, tmp_path: Path) -> None:
         *("meshes", "model.config", "model.sdf", "model.urdf", "model.usda", "model.xml", "simulation.json"),
     }
     # The folder of a model is replaced; a folder with other files is not.
-    assert scanloom(*words, "--set", "simulation.max_excess=2cm").exit_code == 0
+    assert scanloom(*words, "--set", "simulation.density=700").exit_code == 0
     (target / "simulation.json").unlink()
     assert scanloom(*words).exit_code == 3

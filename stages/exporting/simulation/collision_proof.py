@@ -270,9 +270,10 @@ def _bound_excess(
     count = 0
     for level in range(_MAX_LEVELS):
         count += len(cells)
-        found, cell_bounds = _bound_cells(cells, solid)
-        np.maximum.at(attained, owner, found)
         goal = np.maximum(_TOLERANCE_RATIO * attained, resolution_m - slack)
+        found, cell_bounds = _bound_cells(cells, solid, goal[owner])
+        np.maximum.at(attained, owner, found)
+        goal = np.maximum(_TOLERANCE_RATIO * attained, goal)
         goal[attained > limit_m] = np.inf
         is_done = cell_bounds <= goal[owner]
         if level == _MAX_LEVELS - 1:
@@ -293,19 +294,20 @@ def _divide_part(part: ConvexPart) -> Floats:
     return np.concatenate((center, corners), axis=1)
 
 
-def _bound_cells(cells: Floats, solid: SolidDistance) -> tuple[Floats, Floats]:
-    """Return the excess at the centre (n,) and the bound (n,) of each cell."""
+def _bound_cells(cells: Floats, solid: SolidDistance, goal: Floats) -> tuple[Floats, Floats]:
+    """Return the excess at the centre (n,) and the bound (n,) of each cell, tightened only above `goal`."""
     centers = cells.mean(axis=1)
     radii = np.linalg.norm(cells - centers[:, None], axis=2).max(axis=1)
     distances, sides, triangles = solid.measure(centers)
     # A point outside is on the far side of the surface, seen from a centre inside.
     bounds = np.where(sides == INSIDE, np.maximum(radii - distances, 0), radii + distances)
     # Distance to one triangle is convex, so its maximum over a cell is at a corner.
-    corners = solid.corners[triangles]
-    to_triangle = np.zeros(len(cells))
+    loose = np.flatnonzero(bounds > goal)
+    corners = solid.corners[triangles[loose]]
+    to_triangle = np.zeros(len(loose))
     for k in range(4):
-        np.maximum(to_triangle, _measure_to_triangles(cells[:, k], corners), out=to_triangle)
-    np.minimum(bounds, to_triangle, out=bounds)
+        np.maximum(to_triangle, _measure_to_triangles(cells[loose, k], corners), out=to_triangle)
+    bounds[loose] = np.minimum(bounds[loose], to_triangle)
     return np.where(sides == OUTSIDE, distances, 0.0), bounds
 
 

@@ -234,7 +234,13 @@ def _write_model(mesh: Mesh, folder: Path, params: SimulationParams, progress: P
             sum(files.collision_bytes for files in written),
         )
         _report_sizes(written)
-        report = {**result.to_dict(), "density_kg_m3": params.density}
+        report = {
+            **result.to_dict(),
+            "density_kg_m3": params.density,
+            "max_excess_m": limit,
+            # Number k belongs to part k of the body.
+            "part_excess_bound_m": {one.name: one.proof.part_excess_m.tolist() for one in bodies},
+        }
         (draft / REPORT_FILE).write_text(json.dumps(report, indent=2) + "\n", encoding="utf-8")
     return result
 
