@@ -43,6 +43,11 @@ if TYPE_CHECKING:
     )
     from scanloom.stages.exporting.export import ExportParams, ExportResult, export
     from scanloom.stages.exporting.presets import preset
+    from scanloom.stages.exporting.simulation.export_simulation import (
+        SimulationParams,
+        SimulationResult,
+        export_simulation,
+    )
     from scanloom.stages.fusion.fuse import FusionResult, fuse
     from scanloom.stages.fusion.params import FuseParams
     from scanloom.stages.inspecting.coverage.coverage import coverage
@@ -124,6 +129,11 @@ _NAMES_OF = {
     "diagnostics.errors": ("InputError", "MeshError", "ScanloomError", "StageError", "UsageError"),
     "exporting.export": ("ExportParams", "ExportResult", "export"),
     "exporting.presets": ("preset",),
+    "exporting.simulation.export_simulation": (
+        "SimulationParams",
+        "SimulationResult",
+        "export_simulation",
+    ),
     "fusion.fuse": ("FusionResult", "fuse"),
     "fusion.params": ("FuseParams",),
     "inspecting.inspect": ("inspect",),
@@ -242,6 +252,8 @@ __all__ = [
     "SgbmParams",
     "SimplificationResult",
     "SimplifyParams",
+    "SimulationParams",
+    "SimulationResult",
     "Sphere",
     "StageError",
     "StereoRig",
@@ -276,6 +288,7 @@ __all__ = [
     "depth_scan",
     "deviations",
     "export",
+    "export_simulation",
     "extract_frames",
     "fuse",
     "inspect",

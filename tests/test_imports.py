@@ -36,6 +36,8 @@ TYPES_ONLY = {"typing_extensions"}
 OF_EXTRAS = {
     "pipeline/batch/dask_executor.py": {"distributed": "distributed", "dask_jobqueue": "dask-jobqueue"},
     "pipeline/batch/summary.py": {"pyarrow": "pyarrow"},
+    "stages/exporting/simulation/coacd_process.py": {"coacd": "coacd"},
+    "stages/exporting/simulation/usd_physics.py": {"pxr": "usd-core"},
     "stages/exporting/usd.py": {"pxr": "usd-core"},
     "stages/surface/formats/e57.py": {"pye57": "pye57"},
     "stages/surface/formats/las.py": {"laspy": "laspy"},

@@ -13,10 +13,16 @@ from scanloom.cli.mesh_arguments import MeshFile, locate_diagnostics, read_with_
 from scanloom.cli.options import Changes
 from scanloom.cli.output import Output
 from scanloom.cli.paths import require_writable
-from scanloom.stages import ExportParams
-from scanloom.stages.diagnostics.errors import InputError
-from scanloom.stages.exporting.export import EXPORT_SUFFIXES, require_supported_params
-from scanloom.stages.exporting.presets import PRESETS, preset
+from scanloom.stages import ExportParams, SimulationParams
+from scanloom.stages.diagnostics.codes import USAGE_OPTIONS_CONFLICT
+from scanloom.stages.diagnostics.errors import InputError, UsageError
+from scanloom.stages.exporting.export import (
+    EXPORT_SUFFIXES,
+    require_supported_params,
+    set_up_direction,
+)
+from scanloom.stages.exporting.presets import PRESETS, SIMULATION_PRESET, preset
+from scanloom.stages.exporting.simulation.export_simulation import require_simulation_target
 from scanloom.stages.files.codes import FILE_PATH_INVALID
 
 
@@ -25,28 +31,41 @@ def export(
     target: Annotated[
         Path,
         typer.Argument(
-            metavar="OUT", help=f"File to write ({', '.join(EXPORT_SUFFIXES)}).", show_default=False
+            metavar="OUT",
+            help=f"File ({', '.join(EXPORT_SUFFIXES)}), or folder with --preset {SIMULATION_PRESET}.",
+            show_default=False,
         ),
     ],
     export: Changes[ExportParams],
+    simulation: Changes[SimulationParams],
     out: Output,
     intent: Annotated[
         str | None,
         typer.Option(
             "--preset",
             metavar="NAME",
-            help=f"Purpose: {', '.join(PRESETS)}. Other options override it.",
+            help=f"Purpose: {', '.join((*PRESETS, SIMULATION_PRESET))}. Other options override it.",
             show_default=False,
         ),
     ] = None,
 ) -> None:
-    """Write a mesh for the web, games, Blender or a printer.
+    """Write a mesh for web, games, printers or simulators.
 
     glTF and USD files are upright; meshes in other formats can be rotated, scaled and set on the floor.
-    --preset print also reports why a mesh is not watertight, with exit code 1.
+    --preset print also reports why a mesh is not watertight, with exit code 1. --preset sim writes a folder
+    with USD, MJCF, URDF and SDF models and convex collision parts whose error is proven.
 
     Example: scanloom export out/textured.glb web.glb --preset web
     """
+    if intent == SIMULATION_PRESET:
+        _export_simulation(source, target, export, simulation, out)
+        return
+    if simulation:
+        raise UsageError(
+            USAGE_OPTIONS_CONFLICT,
+            "parameters of simulation require --preset {preset}.",
+            preset=SIMULATION_PRESET,
+        )
     wanted = replace(ExportParams() if intent is None else preset(intent, target.suffix), **export)
     require_supported_params(target, wanted)
     if target.is_dir():
@@ -57,4 +76,30 @@ def export(
     with locate_diagnostics(source):
         written = stages.export(mesh, target, wanted)
     out.remark(f"{target}: {written.triangles:,} triangles, {written.bytes:,} bytes")
+    out.result({**written.to_dict(), "output": str(target)})
+
+
+def _export_simulation(
+    source: Path,
+    target: Path,
+    export: Changes[ExportParams],
+    simulation: Changes[SimulationParams],
+    out: Output,
+) -> None:
+    """Write the folder of a simulation model."""
+    if ignored := sorted(set(export) - {"up"}):
+        raise UsageError(
+            USAGE_OPTIONS_CONFLICT,
+            "{names} does not apply to --preset {preset}, which writes z-up models in metres.",
+            names=" and ".join(ignored),
+            preset=SIMULATION_PRESET,
+        )
+    require_simulation_target(target)
+    require_writable(target.parent)
+    mesh = set_up_direction(read_with_up(source), ExportParams(**export).up)
+    with locate_diagnostics(source), out.progress("simulation", "steps") as progress:
+        written = stages.export_simulation(mesh, target, SimulationParams(**simulation), progress=progress)
+    parts = sum(len(body.parts) for body in written.bodies)
+    excess = 1000 * max(body.proof.excess_m for body in written.bodies)
+    out.remark(f"{target}: {parts:,} collision parts, at most {excess:.3g} mm outside the surface")
     out.result({**written.to_dict(), "output": str(target)})

@@ -40,3 +40,50 @@ bug.
 """,
     "chair.usdz: usd-core could not create the package; write .usda.",
 )
+EXPORT_DECOMPOSITION_FAILED = Code(
+    "export.decomposition-failed",
+    "Mesh that cannot be divided into convex parts",
+    """
+The library CoACD stopped, ran out of memory, or needed more than an hour. Simplify the mesh, or repair its
+defects first: `scanloom check` lists them.
+""",
+    "CoACD could not divide the mesh into convex parts; simplify or repair the mesh first.",
+)
+EXPORT_COLLISION_LOOSE = Code(
+    "export.collision-loose",
+    "Collision geometry beyond its limit",
+    """
+The proven distance by which the collision parts exceed the object, or by which they fail to contain its
+surface, is above the limit. `simulation.json` has the bound of each part. With `simulation.max_excess` given,
+this is an unmet requirement. Small details need many parts: allow more excess, or smooth the mesh.
+""",
+    "model: the collision geometry reaches up to 3.2 mm outside the surface (limit 2 mm) in 4 of 61 parts.",
+)
+EXPORT_OPEN_BODY = Code(
+    "export.open-body",
+    "Open meshes in a simulation",
+    """
+An open mesh encloses no volume, so it becomes a static body: its collision parts are thin shells on both
+sides of the surface, and its mass is that of the shells. Close the mesh, with `scanloom refine` or a scan
+from all sides, to make it movable. Small holes are closed automatically.
+""",
+    "model: the surface is open, so the body is static, and its mass is that of its collision parts.",
+)
+EXPORT_HOLES_CLOSED = Code(
+    "export.holes-closed",
+    "Holes closed for a simulation",
+    """
+Holes of an object are closed by flat caps, which take part in mass and collision. The visual mesh stays
+open. The surface below a cap was not scanned.
+""",
+    "model: holes are closed with 3.1 % of additional surface for mass and collision.",
+)
+EXPORT_COLLISION_LARGE = Code(
+    "export.collision-large",
+    "Collision geometry larger than the visual mesh",
+    """
+The files of the collision parts are larger than those of the visual mesh. A simulator may be slower than with
+the mesh itself. Allow more excess with `simulation.max_excess`.
+""",
+    "model: the collision geometry (48,210 bytes) is larger than the visual mesh (21,004 bytes).",
+)

@@ -194,10 +194,7 @@ def export(
 
 def _write_export(mesh: MeshLike, path: Path, params: ExportParams) -> ExportResult:
     require_supported_params(path, params)
-    given = as_mesh(mesh)
-    if params.up is not None:
-        direction = parse_up_direction(params.up)
-        given = given.with_(up=None if direction is None else (direction[0], direction[1], direction[2]))
+    given = set_up_direction(as_mesh(mesh), params.up)
     written = convert_images(given, params.images, params.quality, params.image_size)
     suffix = path.suffix.lower()
     if suffix not in Y_UP_METRE_SUFFIXES:
@@ -234,6 +231,14 @@ def _write_export(mesh: MeshLike, path: Path, params: ExportParams) -> ExportRes
         up=given.up,
         position_error=_compute_position_error(given, params.position_bits) if is_compressed else 0.0,
     )
+
+
+def set_up_direction(mesh: Mesh, up: str | None) -> Mesh:
+    """Return the mesh with another up direction, as in `ExportParams.up`; None keeps its own."""
+    if up is None:
+        return mesh
+    direction = parse_up_direction(up)
+    return mesh.with_(up=None if direction is None else (direction[0], direction[1], direction[2]))
 
 
 def require_supported_params(path: Path, params: ExportParams) -> None:
@@ -293,7 +298,7 @@ def _transform_mesh(mesh: Mesh, params: ExportParams) -> Mesh:
             )
         else:
             up = np.array(mesh.up)
-            mesh = _rotate_mesh(mesh, rotate_to_y(up) if params.axes == "y-up" else rotate_to_z(up))
+            mesh = rotate_mesh(mesh, rotate_to_y(up) if params.axes == "y-up" else rotate_to_z(up))
     vertices = mesh.vertices
     if params.on_floor and len(vertices):
         height = 1 if params.axes == "y-up" else 2
@@ -304,7 +309,8 @@ def _transform_mesh(mesh: Mesh, params: ExportParams) -> Mesh:
     return mesh.with_(vertices=vertices * _UNIT_FACTORS[params.unit])
 
 
-def _rotate_mesh(mesh: Mesh, turn: np.ndarray) -> Mesh:
+def rotate_mesh(mesh: Mesh, turn: np.ndarray) -> Mesh:
+    """Rotate a mesh with an up direction by a matrix (3, 3)."""
     x, y, z = (turn @ np.array(mesh.up)).round(12).tolist()
     return mesh.with_(
         vertices=mesh.vertices @ turn.T,

@@ -25,7 +25,8 @@ PRESETS: dict[str, ExportKeywords] = {
     "blender": {"axes": "z-up", "shading": "keep"},
     "print": {"axes": "z-up", "unit": "mm", "on_floor": True, "watertight": True},
 }
-
+# Written by `export_simulation`, which has its own parameters.
+SIMULATION_PRESET = "sim"
 
 # Parameters without effect on other formats than glTF, and without effect on glTF and USD.
 _GLTF_ONLY_PARAMS = ("compress", "position_bits", "texel_steps", "shading")

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import shutil
 import tempfile
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -102,7 +103,7 @@ def _write_stage(path: Path, mesh: Mesh) -> list[str]:
 
     Data that USD does not hold is reported as a warning.
     """
-    from pxr import Gf, Sdf, Usd, UsdGeom
+    from pxr import Gf, Usd, UsdGeom
 
     stage: Any = Usd.Stage.CreateNew(str(path))
     UsdGeom.SetStageUpAxis(stage, UsdGeom.Tokens.y)
@@ -114,9 +115,25 @@ def _write_stage(path: Path, mesh: Mesh) -> list[str]:
         turn[:3, :3] = rotate_to_y(np.array(mesh.up))
         # USD multiplies row vectors from the left, so its matrix is transposed.
         root.AddTransformOp().Set(Gf.Matrix4d(*turn.T.reshape(-1).tolist()))
-    shape = UsdGeom.Mesh.Define(stage, "/scan/mesh")
-    from pxr import Vt
+    names = {} if mesh.texture is None else _write_images(mesh.texture, path.parent)
+    if mesh.part_ids is not None:
+        emit(EXPORT_LEFT_OUT.warning("the parts are left out: USD is written as one mesh"))
+    define_mesh(stage, "/scan/mesh", mesh, names)
+    stage.GetRootLayer().Save()
+    return list(names.values())
 
+
+def define_mesh(stage: Any, path: str, mesh: Mesh, image_names: Mapping[int, str]) -> Any:
+    """Define a mesh with its colours or materials; return its schema.
+
+    Parameters
+    ----------
+    path : path of the mesh; materials are its siblings.
+    image_names : file of each texture image, relative to the stage, by `id` of the image.
+    """
+    from pxr import Gf, Sdf, UsdGeom, Vt
+
+    shape = UsdGeom.Mesh.Define(stage, path)
     shape.CreatePointsAttr(Vt.Vec3fArray.FromNumpy(mesh.vertices.astype(np.float32)))
     shape.CreateFaceVertexCountsAttr(Vt.IntArray.FromNumpy(np.full(len(mesh.triangles), 3, np.int32)))
     shape.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(mesh.triangles.reshape(-1)))
@@ -132,13 +149,12 @@ def _write_stage(path: Path, mesh: Mesh) -> list[str]:
         primvars.CreatePrimvar("displayColor", Sdf.ValueTypeNames.Color3fArray, UsdGeom.Tokens.vertex).Set(
             Vt.Vec3fArray.FromNumpy(light)
         )
-    if mesh.part_ids is not None:
-        emit(EXPORT_LEFT_OUT.warning("the parts are left out: USD is written as one mesh"))
-    names = [] if mesh.texture is None else _add_texture(stage, shape, mesh.texture, path.parent)
-    if mesh.texture is None and mesh.colors is not None:
-        _add_colors_material(stage, shape)
-    stage.GetRootLayer().Save()
-    return names
+    parent = path.rpartition("/")[0]
+    if mesh.texture is not None:
+        _add_texture(stage, shape, mesh.texture, parent, image_names)
+    elif mesh.colors is not None:
+        _add_colors_material(stage, shape, f"{parent}/colors")
+    return shape
 
 
 def _add_normals(shape: Any, mesh: Mesh) -> None:
@@ -154,8 +170,21 @@ def _add_normals(shape: Any, mesh: Mesh) -> None:
         shape.SetNormalsInterpolation(where)
 
 
-def _add_texture(stage: Any, shape: Any, texture: Texture, folder: Path) -> list[str]:
-    """Add texture coordinates and materials; return the names of the written image files."""
+def _write_images(texture: Texture, folder: Path) -> dict[int, str]:
+    """Write the images of a texture; return their file names by `id` of the image."""
+    used = np.unique(texture.material_ids)
+    images = [texture.materials[number].image for number in used[used >= 0]]
+    names: dict[int, str] = {}
+    for image in images:
+        if image is not None and id(image) not in names:
+            names[id(image)] = _write_image(image, len(names), folder)
+    return names
+
+
+def _add_texture(
+    stage: Any, shape: Any, texture: Texture, parent: str, image_names: Mapping[int, str]
+) -> None:
+    """Add texture coordinates and materials below `parent`."""
     from pxr import Sdf, UsdGeom, UsdShade, Vt
 
     primvars = UsdGeom.PrimvarsAPI(shape)
@@ -163,22 +192,16 @@ def _add_texture(stage: Any, shape: Any, texture: Texture, folder: Path) -> list
     primvars.CreatePrimvar("st", Sdf.ValueTypeNames.TexCoord2fArray, UsdGeom.Tokens.faceVarying).Set(
         Vt.Vec2fArray.FromNumpy(uvs.astype(np.float32))
     )
-    names: dict[int, str] = {}
     for number, material in enumerate(texture.materials):
         rows = np.flatnonzero(texture.material_ids == number).astype(np.int32)
         if len(rows) == 0:
             continue
-        name = None
-        if material.image is not None:
-            if id(material.image) not in names:
-                names[id(material.image)] = _write_image(material.image, len(names), folder)
-            name = names[id(material.image)]
-        made = _add_material(stage, f"/scan/material{number}", material, name)
+        name = None if material.image is None else image_names[id(material.image)]
+        made = _add_material(stage, f"{parent}/material{number}", material, name)
         part = UsdGeom.Subset.CreateGeomSubset(
             shape, f"material{number}", UsdGeom.Tokens.face, Vt.IntArray.FromNumpy(rows), "materialBind"
         )
         UsdShade.MaterialBindingAPI.Apply(part.GetPrim()).Bind(made)
-    return [name for name in names.values() if name]
 
 
 def _write_image(image: Image, number: int, folder: Path) -> str:
@@ -227,16 +250,16 @@ def _add_material(stage: Any, path: str, material: Material, image: str | None) 
     return made
 
 
-def _add_colors_material(stage: Any, shape: Any) -> None:
+def _add_colors_material(stage: Any, shape: Any, path: str) -> None:
     """Bind a material that displays the vertex colours.
 
     Viewers draw a mesh without a material in grey.
     """
     from pxr import Sdf, UsdShade
 
-    made = UsdShade.Material.Define(stage, "/scan/colors")
-    surface = _add_preview_surface(stage, made, "/scan/colors")
-    reader = UsdShade.Shader.Define(stage, "/scan/colors/reader")
+    made = UsdShade.Material.Define(stage, path)
+    surface = _add_preview_surface(stage, made, path)
+    reader = UsdShade.Shader.Define(stage, f"{path}/reader")
     reader.CreateIdAttr("UsdPrimvarReader_float3")
     reader.CreateInput("varname", Sdf.ValueTypeNames.String).Set("displayColor")
     color = surface.CreateInput("diffuseColor", Sdf.ValueTypeNames.Color3f)

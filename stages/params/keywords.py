@@ -434,6 +434,13 @@ class SimplifyKeywords(TypedDict, total=False):
     planar: PlanarParams | PlanarKeywords
 
 
+class SimulationKeywords(TypedDict, total=False):
+    """Fields of `SimulationParams`."""
+
+    density: float
+    max_excess: float | None
+
+
 class StructureKeywords(TypedDict, total=False):
     """Fields of `StructureParams`."""
 

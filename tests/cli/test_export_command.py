@@ -73,6 +73,10 @@ def test_gltf_files_of_other_programs_are_y_up(scanloom: Run, tmp_path: Path) ->
         (("out.glb", "--unit", "mm"), 2, "in metres"),
         (("out.stl", "--compress", "meshopt"), 2, "only to glTF"),
         (("folder.glb",), 3, "this is a folder"),
+        (("sim", "--preset", "sim", "--compress", "meshopt"), 2, "compress does not apply to --preset sim"),
+        (("out.glb", "--set", "simulation.density=5"), 2, "require --preset sim"),
+        (("sim", "--preset", "sim", "--set", "simulation.density=0"), 2, "density"),
+        (("model.glb", "--preset", "sim"), 3, "this is a file"),
     ],
 )
 def test_bad_export_input_is_one_error_and_writes_nothing(
@@ -89,3 +93,26 @@ def test_bad_export_input_is_one_error_and_writes_nothing(
 def test_a_missing_file_is_reported(scanloom: Run, tmp_path: Path) -> None:
     ran = scanloom("export", tmp_path / "none.glb", tmp_path / "out.glb")
     assert (ran.exit_code, "there is no such file" in ran.stderr) == (3, True)
+
+
+def test_preset_sim_writes_a_folder(scanloom: Run, tmp_path: Path) -> None:
+    pytest.importorskip("coacd")
+    pytest.importorskip("pxr")
+    mesh = textured_sheet(20)
+    write_mesh(tmp_path / "floor.ply", mesh.with_(vertices=mesh.vertices * (1, 1, 0), texture=None))
+    target = tmp_path / "new" / "floor"
+    words = ("export", tmp_path / "floor.ply", target, "--preset", "sim", "--up", "+z", "--json")
+    words += ("--set", "simulation.max_excess=10cm")
+    ran = scanloom(*words)
+    assert ran.exit_code == 0, ran.stderr
+    (body,) = ran.json["bodies"]
+    assert body["collision_parts"] == 1
+    assert body["gap_bound_m"] == 0 < body["excess_bound_m"]
+    assert "the surface is open" in ran.stderr
+    assert {path.name for path in target.iterdir()} == {
+        *("meshes", "model.config", "model.sdf", "model.urdf", "model.usda", "model.xml", "simulation.json"),
+    }
+    # The folder of a model is replaced; a folder with other files is not.
+    assert scanloom(*words, "--set", "simulation.density=700").exit_code == 0
+    (target / "simulation.json").unlink()
+    assert scanloom(*words).exit_code == 3

@@ -1,0 +1,1 @@
+"""Export for physics simulators: collision geometry with proven bounds, mass, descriptions."""
