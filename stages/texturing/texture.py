@@ -179,6 +179,7 @@ class TextureResult:
         end at occlusion boundaries; this ratio compensates for that.
     labels : for each image, (h, w) int32, photo with the highest weight; -1 if no photo shows the surface.
     photo_counts : for each image, (h, w) uint8, number of blended photos.
+    layout : layout of the mesh in the images.
     diagnostics : warnings.
     """
 
@@ -202,6 +203,7 @@ class TextureResult:
     seam_ratio_over_photos: float | None
     labels: tuple[NDArray[np.int32], ...]
     photo_counts: tuple[NDArray[np.uint8], ...]
+    layout: AtlasLayout
     diagnostics: tuple[Diagnostic, ...] = ()
 
     __repr__ = format_by_metrics
@@ -538,6 +540,7 @@ def _make_result(
         seam_ratio_over_photos=metrics.seam_ratio_over_photos,
         labels=tuple(one.labels for one in images),
         photo_counts=tuple(one.view_counts for one in images),
+        layout=pages,
     )
 
 
