@@ -13,7 +13,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from scanloom.stages.surface.raycasting import RaycastingSurface
+from scanloom.stages.surface.raycasting import RaycastingSurface, compute_bounding_box
 from scanloom.stages.texturing.correspondence import TexelPoints
 
 _Floats = NDArray[np.float32]
@@ -27,8 +27,9 @@ RAYS_PER_TEXEL = _STRATA**2
 _FILTER = (1, 2, 2, 2, 1)
 # Minimum cosine between normals of texels that are averaged.
 _MIN_FILTER_COSINE = 0.8
-# Distance of ray origins from the surface in mean edge lengths, against hits of the triangle itself.
-_OFFSET_EDGES = 0.05
+# Distance of ray origins from the surface, against hits of the triangle itself; a ratio of the diagonal of
+# the bounding box.
+_OFFSET_RATIO = 1e-4
 # Rays per call, at about 100 bytes each: bounds memory.
 _BATCH_RAYS = 1 << 20
 
@@ -59,7 +60,8 @@ def compute_occlusion(
     normals = np.zeros((height * width, 3), np.float32)
     chart_of = np.full(height * width, -1, np.int32)
     chart_of[points.texels] = charts
-    offset = _OFFSET_EDGES * _compute_mean_edge(surface)
+    low, high = compute_bounding_box(surface.mesh)
+    offset = _OFFSET_RATIO * float(np.linalg.norm(high - low))
     directions = _make_directions()
     mesh = surface.mesh
     step = _BATCH_RAYS // RAYS_PER_TEXEL
@@ -86,11 +88,6 @@ def compute_occlusion(
         visible.reshape(height, width), normals.reshape(height, width, 3), chart_of.reshape(height, width)
     )
     return np.asarray(np.rint(255 * smooth), np.uint8)
-
-
-def _compute_mean_edge(surface: RaycastingSurface) -> float:
-    # The longest side of each triangle is known already.
-    return float(np.sqrt(surface.slimness.longest_squared).mean())
 
 
 def _make_directions() -> _Floats:

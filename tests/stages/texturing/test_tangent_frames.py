@@ -34,8 +34,9 @@ def compute_reference(positions: np.ndarray, normals: np.ndarray, uvs: np.ndarra
     def find_neighbours(t: int, c: int) -> list[tuple[int, int]]:
         """Find the corners at the same vertex, across the two sides of a corner."""
         before = (c + 2) % 3
-        across = sides.get((keys[t][(c + 1) % 3], keys[t][c]), []), sides.get(
-            (keys[t][c], keys[t][before]), []
+        across = (
+            sides.get((keys[t][(c + 1) % 3], keys[t][c]), []),
+            sides.get((keys[t][c], keys[t][before]), []),
         )
         found = [(other, (start + 1) % 3) for other, start in across[0]] + list(across[1])
         return [one for one in found if orientations[one[0]] == orientations[t]]
@@ -106,7 +107,8 @@ def test_tangents_follow_mikktspace(make):
 def test_mirrored_charts_have_opposite_bitangents():
     mesh, uvs = make_mirrored_sheet()
     frames = compute_tangent_frames(mesh, uvs)
-    assert (frames.signs == 1).any() and (frames.signs == -1).any()
+    assert (frames.signs == 1).any()
+    assert (frames.signs == -1).any()
     centre = np.full((len(mesh.triangles), 3), 1 / 3)
     _, bitangents, _ = frames.interpolate(np.arange(len(mesh.triangles)), centre)
     # v grows along y on both sides of the mirror.
