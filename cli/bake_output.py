@@ -73,7 +73,7 @@ def format_bake(metrics: dict[str, Any]) -> str:
     if metrics["color"]:
         texts.append(format_color_errors(metrics))
     if metrics["shading_error_after"]:
-        texts.append(format_shading_errors(metrics))
+        texts.append(f"Normal map: {format_shading_errors(metrics)}.")
     return "\n\n".join(texts)
 
 
@@ -81,8 +81,8 @@ def format_shading_errors(metrics: dict[str, Any]) -> str:
     """Return the shading errors without and with a normal map as a sentence."""
     before, after = metrics["shading_error_before"], metrics["shading_error_after"]
     return (
-        f"Shading error (median, 90 %): {after['median_deg']:.2f}°, {after['p90_deg']:.2f}° with the normal "
-        f"map, {before['median_deg']:.2f}°, {before['p90_deg']:.2f}° without."
+        f"shading error {after['median_deg']:.2f}° (median) and {after['p90_deg']:.1f}° (90 %), without the "
+        f"map {before['median_deg']:.2f}° and {before['p90_deg']:.1f}°"
     )
 
 

@@ -99,7 +99,7 @@ STAGE = Stage(
     artifact=BakedMesh,
     run=_run,
     versions=make_fixed_versions(bake, compare_surfaces),
-    libraries=list_installed_versions("scanloom", "open3d", "opencv"),
+    libraries=list_installed_versions("scanloom", "open3d", "opencv", "scipy"),
     result_names=(BAKED_FILE, f"{BAKED_MAPS}/"),
     skip_reason=_get_skip_reason,
     cost=CostModel(seconds=10, seconds_per_megapixel=1, bytes=300e6),
