@@ -32,7 +32,7 @@ def bake(
     bake: BakeParams,
     out: Output,
 ) -> None:
-    """Bake the colours and details of a mesh into maps of another.
+    """Bake colours and details of a mesh for another.
 
     LIGHT keeps its triangles and is unwrapped into one or more images. Each texel gets the colour, the normal
     and the ambient occlusion of the nearest point of ORIGINAL that faces the same way. A GLB file holds the

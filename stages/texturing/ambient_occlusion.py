@@ -70,7 +70,8 @@ def compute_occlusion(
         texels, triangles, weights = points.texels[rows], points.triangles[rows], points.weights[rows]
         own = normals_of(triangles, weights)
         corners = mesh.vertices[mesh.triangles[triangles]]
-        origins = np.einsum("kc,kcx->kx", weights.astype(np.float64), corners) + offset * own
+        origins = np.einsum("kc,kcx->kx", weights.astype(np.float64), corners)
+        origins += offset * own.astype(np.float64)
         row, column = np.divmod(texels, width)
         local = directions[(row % _BLOCK_SIDE) * _BLOCK_SIDE + column % _BLOCK_SIDE]
         tangents, bitangents = _make_bases(own)

@@ -337,8 +337,8 @@ def _bake_mesh(
             surface if source is reference else RaycastingSurface(source, box), target, texel_size
         )
         painted = paint_pages(target, pages, samples, colors_of, progress=progress)
-    mesh = _attach_texture(target, pages, painted and painted.images, reference)
-    detail = _bake_details(mesh, reference, pages, params)
+    mesh = _attach_texture(target, pages, None if painted is None else painted.images, reference)
+    details = _bake_details(mesh, reference, pages, params)
     if is_transparent(reference):
         emit(TEXTURE_BAKE_LEFT_OUT.warning("bake drops the transparency of the original's images."))
     if source is not reference:
@@ -355,7 +355,7 @@ def _bake_mesh(
     if is_colored:
         error, vertex_error = (_compute_color_error(surface, one, box) for one in (mesh, target))
     return BakeResult(
-        mesh=detail.mesh,
+        mesh=details.mesh,
         sizes=pages.sizes,
         texel_size=texel_size,
         coverage=float(np.abs(compute_signed_areas(pages.corners)).sum()) / sum(w * h for w, h in pages.sizes)
@@ -367,10 +367,10 @@ def _bake_mesh(
         turned_ratio=0.0 if painted is None else painted.turned_ratio,
         color=error,
         vertex_color=vertex_error if target.colors is not None else None,
-        shading_before=detail.shading_before,
-        shading_after=detail.shading_after,
-        maps=detail.maps,
-        displacement_range=detail.displacement_range,
+        shading_before=details.shading_before,
+        shading_after=details.shading_after,
+        maps=details.maps,
+        displacement_range=details.displacement_range,
     )
 
 

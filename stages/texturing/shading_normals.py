@@ -133,6 +133,8 @@ def add_shading_normals(mesh: Mesh, uvs: NDArray[np.float64]) -> Mesh:
 
     groups = group_corners(mesh.triangles, is_smooth)
     weighted = np.repeat(flat * compute_areas(mesh.vertices, mesh.triangles)[:, None], 3, axis=0)
-    sums = np.stack([np.bincount(groups, weighted[:, axis]) for axis in range(3)], axis=1)
+    sums = np.zeros((int(groups.max(initial=-1)) + 1, 3))
+    for axis in range(3):
+        sums[:, axis] = np.bincount(groups, weighted[:, axis])
     sums[(sums == 0).all(axis=1)] = (0, 0, 1)
     return mesh.with_(corner_normals=normalize_vectors(sums)[groups].reshape(-1, 3, 3))

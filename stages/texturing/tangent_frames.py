@@ -70,9 +70,12 @@ def _group_corners(
     signs: NDArray[np.float64],
 ) -> NDArray[np.int32]:
     """Group the corners (3 m,) that share a tangent."""
-    # Viewers compare values in single precision, as stored.
-    values = [one.reshape(-1, one.shape[2]).astype(np.float32) for one in (corners, normals, uvs)]
-    welded = find_first_equal_rows([column for one in values for column in one.T]).reshape(-1, 3)
+    # Viewers compare values in single precision, as stored. Positions may exceed its range.
+    columns = [*corners.reshape(-1, 3).T]
+    columns += [
+        column for one in (normals, uvs) for column in one.reshape(-1, one.shape[2]).astype(np.float32).T
+    ]
+    welded = find_first_equal_rows(columns).reshape(-1, 3)
     return group_corners(welded, lambda one, other: signs[one // 3] == signs[other // 3])
 
 

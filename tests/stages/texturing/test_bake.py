@@ -249,7 +249,7 @@ def test_progress_can_stop_baking():
 
 def test_invalid_input_is_reported():
     with pytest.raises(MeshError, match=r"original: .*neither vertex colours nor a texture"):
-        bake(make_square(), make_square(0.1))
+        bake(make_square(), make_square(0.1), normal_map=False, occlusion_map=False)
     with pytest.raises(MeshError, match="simplified mesh"):
         bake((np.zeros((3, 3)), np.array([[0, 1, 2]])), sheet(n=4))
     needle = np.array([[0, 0, 0], [1, 0, 0], [0.5, 1e-12, 0]])

@@ -79,8 +79,10 @@ def test_the_map_of_a_mesh_for_itself_is_flat():
     assert (deviations > 1).mean() < 0.02  # texels beyond the border of the chart
     triangles, weights, _ = sample_inside(mesh)
     mapped = read_normals(attach_normal_map(mesh, mesh, pages), triangles, weights)
-    # 8 bits cannot represent 0 exactly.
-    assert measure_angles(mapped, ShadingNormals(shaded)(triangles, weights)).max() < 0.5
+    angles = measure_angles(mapped, ShadingNormals(shaded)(triangles, weights))
+    # 8 bits cannot represent 0 exactly. The border of the chart mixes in texels beyond it.
+    assert np.percentile(angles, 99) < 0.5
+    assert angles.max() < 1.5
 
 
 def test_a_relief_is_recovered_on_a_plane():
