@@ -19,8 +19,6 @@ from scanloom.stages.texturing.detail_maps import DetailBaker
 from scanloom.stages.texturing.shading_error import ShadingComparison, ShadingError
 from scanloom.stages.texturing.shading_normals import add_shading_normals
 
-RESULT_VERSION = 1
-
 # JPEG qualities that are tried if PNG is too large. Below 80, flat surfaces get a tilt of almost a degree.
 _QUALITIES = (95, 90, 85, 80)
 # A map resolves all details of the original if its texels are smaller than this ratio of an edge.

@@ -63,7 +63,8 @@ if TYPE_CHECKING:
 
     from scanloom.stages.params.keywords import TextureKeywords
 
-RESULT_VERSION = 16
+# Also covers `bake_normal_map`, which the stage runs on the result.
+RESULT_VERSION = 17
 
 _MIN_SIZE = 64
 # Median shift as a ratio of a photo's width, below which photos count as aligned.
