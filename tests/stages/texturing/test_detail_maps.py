@@ -258,7 +258,9 @@ def test_files_with_maps_are_valid(tmp_path):
     expected = read_normals(baked.mesh, triangles, weights)
     assert measure_angles(read_normals(back, triangles, weights), expected).max() < 0.1
     found = run_node(VALIDATE, PAGE, tmp_path)
-    assert not [one for one in found["a.glb"] if one["severity"] < 2]
+    # Viewers compute MikkTSpace tangents; stored tangents would take 16 bytes per vertex.
+    tolerated = {"MESH_PRIMITIVE_GENERATED_TANGENT_SPACE"}
+    assert {one["code"] for one in found["a.glb"] if one["severity"] < 2} <= tolerated
 
 
 def test_given_normals_of_the_original_count():
