@@ -50,6 +50,7 @@ def main() -> None:
             start = time.process_time()
             baked = bake(light, original)
             seconds = time.process_time() - start
+            assert baked.color is not None
             assert baked.vertex_color is not None
             cells = [name, f"{ratio:.0%}", f"{len(light.triangles):,}", f"{baked.vertex_color.psnr:.1f}"]
             cells += [

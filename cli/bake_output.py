@@ -11,10 +11,13 @@ from scanloom.cli.output import Output, format_lines
 from scanloom.stages import BakeParams, Mesh
 from scanloom.stages.diagnostics.collector import emit
 from scanloom.stages.diagnostics.errors import ScanloomError
+from scanloom.stages.files.atomic_files import write_file_atomically
 from scanloom.stages.texturing.codes import SIMPLIFY_IMAGES_NOT_BAKED
 
 # Formats that hold texture coordinates and an image.
 TEXTURED_SUFFIXES = (".glb", ".obj", ".ply")
+# For commands that only replace lost colours.
+COLORS_ONLY = BakeParams(normal_map=False, occlusion_map=False)
 
 
 def loses_image(light: Mesh, original: Mesh) -> bool:
@@ -39,7 +42,7 @@ def bake_lost_image(target: Path, light: Mesh, original: Mesh, out: Output) -> d
 def bake_or_warn(target: Path, light: Mesh, original: Mesh, out: Output) -> dict[str, Any] | None:
     """Bake like `bake_and_write`; if baking fails, warn and return None."""
     try:
-        return bake_and_write(target, light, original, BakeParams(), out)
+        return bake_and_write(target, light, original, COLORS_ONLY, out)
     except ScanloomError as error:
         emit(
             SIMPLIFY_IMAGES_NOT_BAKED.warning(
@@ -52,17 +55,35 @@ def bake_or_warn(target: Path, light: Mesh, original: Mesh, out: Output) -> dict
 def bake_and_write(
     target: Path, light: Mesh, original: Mesh, params: BakeParams, out: Output
 ) -> dict[str, Any]:
-    """Bake, write the textured mesh, and return the metrics."""
+    """Bake, write the textured mesh and the maps that it cannot hold, and return the metrics."""
     with out.progress("bake", "rows") as progress:
         baked = stages.bake(light, original, params, progress=progress)
     write_mesh_file(target, baked.mesh, out)
+    for name, data in baked.list_map_files(target.stem, target.suffix).items():
+        with write_file_atomically(target.with_name(name)) as part:
+            part.write_bytes(data)
     return baked.to_dict()
 
 
 def format_bake(metrics: dict[str, Any]) -> str:
     """Return the metrics as lines, with the colour errors in a sentence."""
-    plain = {name: value for name, value in metrics.items() if name not in ("color", "vertex_color")}
-    return f"{format_lines(plain)}\n\n{format_color_errors(metrics)}"
+    left_out = ("color", "vertex_color", "maps", "shading_error_before", "shading_error_after")
+    plain = {name: value for name, value in metrics.items() if name not in left_out}
+    texts = [format_lines(plain)]
+    if metrics["color"]:
+        texts.append(format_color_errors(metrics))
+    if metrics["shading_error_after"]:
+        texts.append(f"Normal map: {format_shading_errors(metrics)}.")
+    return "\n\n".join(texts)
+
+
+def format_shading_errors(metrics: dict[str, Any]) -> str:
+    """Return the shading errors without and with a normal map as a sentence."""
+    before, after = metrics["shading_error_before"], metrics["shading_error_after"]
+    return (
+        f"shading error {after['median_deg']:.2f}° (median) and {after['p90_deg']:.1f}° (90 %), without the "
+        f"map {before['median_deg']:.2f}° and {before['p90_deg']:.1f}°"
+    )
 
 
 def format_color_errors(metrics: dict[str, Any]) -> str:

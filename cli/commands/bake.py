@@ -22,7 +22,7 @@ def bake(
     original: Annotated[
         Path,
         typer.Argument(
-            metavar="ORIGINAL", help="Mesh file with vertex colours or a texture.", show_default=False
+            metavar="ORIGINAL", help="Detailed mesh file, with or without colours.", show_default=False
         ),
     ],
     target: Annotated[
@@ -32,11 +32,12 @@ def bake(
     bake: BakeParams,
     out: Output,
 ) -> None:
-    """Bake the colours of a mesh into a texture of another.
+    """Bake colours and details of a mesh for another.
 
-    LIGHT keeps its triangles and is unwrapped into one or more images. Each texel gets the colour of the
-    nearest point of ORIGINAL that faces the same way. A GLB file holds the images; OBJ and PLY have separate
-    image files.
+    LIGHT keeps its triangles and is unwrapped into one or more images. Each texel gets the colour, the normal
+    and the ambient occlusion of the nearest point of ORIGINAL that faces the same way. A GLB file holds the
+    images; OBJ and PLY have separate image files, OUT-normal.png and OUT-occlusion.png. OUT-displacement.png
+    is written with --set bake.displacement_map=true.
 
     Example: scanloom mesh bake light.ply clean.ply light.glb
     """

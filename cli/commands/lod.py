@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 import typer
 
-from scanloom.cli.bake_output import TEXTURED_SUFFIXES, bake_and_write, bake_or_warn, format_bake
+from scanloom.cli.bake_output import COLORS_ONLY, TEXTURED_SUFFIXES, bake_and_write, bake_or_warn, format_bake
 from scanloom.cli.mesh_arguments import (
     MeshFile,
     NewMesh,
@@ -21,7 +21,7 @@ from scanloom.cli.mesh_arguments import (
 from scanloom.cli.output import Output, format_size, format_table
 from scanloom.cli.overlap import require_overlap
 from scanloom.cli.paths import MESH_SUFFIXES, require_file, require_new_file
-from scanloom.stages import BakeParams, UsageError
+from scanloom.stages import UsageError
 from scanloom.stages import lod as levels
 from scanloom.stages.diagnostics.codes import USAGE_OPTIONS_CONFLICT
 from scanloom.stages.diagnostics.collector import emit
@@ -171,7 +171,7 @@ def cut(
     baked = None
     if model_file is not None and model is not None:
         mesh = found.mesh if found.mesh.up is not None else found.mesh.with_(up=model.up)
-        baked = bake_and_write(target, mesh, model, BakeParams(), out)
+        baked = bake_and_write(target, mesh, model, COLORS_ONLY, out)
         require_overlap(source, found.mesh, model_file, model)
     elif texture is None and hierarchy.model is not None and target.suffix.lower() in TEXTURED_SUFFIXES:
         baked = bake_or_warn(target, found.mesh, hierarchy.model, out)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
+from scanloom.cli.bake_output import format_shading_errors
 from scanloom.cli.options import Changes, OptionsFor
 from scanloom.cli.output import Output, format_size, format_table
 from scanloom.cli.paths import require_scan, require_writable
@@ -174,7 +175,11 @@ def _summary(result: RunResult) -> str:
         m = "m" if result.report["scan"]["metric"] else "units"
         line = f"{mesh['triangles']:,} triangles, {'' if mesh['manifold'] else 'not '}manifold"
         lines.append(line + (f"; {format_size(textured.stat().st_size)} with texture" if textured else ""))
-        details = result.report["stages"].get("simplify", {}).get("metrics", {}).get("details", {})
+        stages = result.report["stages"]
+        normal_map = stages.get("texture", {}).get("metrics", {}).get("normal_map")
+        if normal_map and normal_map["is_written"]:
+            lines.append(f"normal map: {format_shading_errors(normal_map)}")
+        details = stages.get("simplify", {}).get("metrics", {}).get("details", {})
         if details.get("proven"):
             bound = format_upper_bound(details["shape_bound_m"])
             lines.append(f"proven to be within {bound} {m} of the mesh before simplification")

@@ -1,12 +1,12 @@
-"""Optional stage `bake`: bakes vertex colours into a texture.
+"""Optional stage `bake`: bakes vertex colours and details into maps.
 
-The colours are taken from the refined mesh; the texture is for the simplified mesh.
+Colours and details are taken from the refined mesh; the maps are for the simplified mesh.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +22,7 @@ from scanloom.stages.inspecting.libraries import list_installed_versions
 from scanloom.stages.params import param
 from scanloom.stages.progress import Progress
 from scanloom.stages.scans.model.scan import Scan
+from scanloom.stages.surface.formats.gltf_materials import make_unlit
 from scanloom.stages.surface.formats.gltf_writer import write_gltf
 from scanloom.stages.surface.mesh import Mesh
 from scanloom.stages.texturing.bake import BakeParams, bake
@@ -33,7 +34,7 @@ class BakeSection(BakeParams):
 
     enabled: bool = param(
         False,
-        "Bake the colours of the refined mesh into a texture of the simplified mesh, at full resolution.",
+        "Bake the colours and details of the refined mesh into maps of the simplified mesh.",
         # Only decides if the stage runs, so the cache key ignores it.
         invalidates=False,
         common=True,
@@ -41,6 +42,7 @@ class BakeSection(BakeParams):
 
 
 BAKED_FILE = "baked.glb"
+BAKED_MAPS = "baked_maps"
 
 
 @dataclass(frozen=True)
@@ -79,8 +81,14 @@ def write_baked(
 ) -> dict[str, Any]:
     """Bake and write baked.glb, rotated upright, and return metrics."""
     baked = bake(simplified, original, params, progress=progress)
+    texture = baked.mesh.texture
+    assert texture is not None
     # Scanned colours already include the lighting of the scene.
-    write_gltf(folder / BAKED_FILE, baked.mesh.with_(up=up), shading="unlit")
+    unlit = replace(texture, materials=tuple(map(make_unlit, texture.materials)))
+    write_gltf(folder / BAKED_FILE, baked.mesh.with_(texture=unlit, up=up))
+    for name, data in baked.list_map_files("baked", ".glb").items():
+        (folder / BAKED_MAPS).mkdir(exist_ok=True)
+        (folder / BAKED_MAPS / name).write_bytes(data)
     return baked.to_dict()
 
 
@@ -91,8 +99,8 @@ STAGE = Stage(
     artifact=BakedMesh,
     run=_run,
     versions=make_fixed_versions(bake, compare_surfaces),
-    libraries=list_installed_versions("scanloom", "open3d", "opencv"),
-    result_names=(BAKED_FILE,),
+    libraries=list_installed_versions("scanloom", "open3d", "opencv", "scipy"),
+    result_names=(BAKED_FILE, f"{BAKED_MAPS}/"),
     skip_reason=_get_skip_reason,
     cost=CostModel(seconds=10, seconds_per_megapixel=1, bytes=300e6),
 )

@@ -1,4 +1,7 @@
-"""Stage `texture`: textures the simplified mesh with the photos."""
+"""Stage `texture`: textures the simplified mesh with the photos.
+
+The texture can include a normal map with the details of the refined mesh.
+"""
 
 from __future__ import annotations
 
@@ -18,6 +21,7 @@ from scanloom.pipeline.result_versions import make_fixed_versions
 from scanloom.pipeline.sections import Sections
 from scanloom.pipeline.skipped_frames import warn_skipped_frames
 from scanloom.pipeline.stage import Artifact, Context, Stage
+from scanloom.pipeline.steps.refine import RefinedMesh
 from scanloom.pipeline.steps.simplify import SimplifiedMesh
 from scanloom.stages.files.images import read_stored_image
 from scanloom.stages.inspecting.libraries import list_installed_versions
@@ -27,13 +31,19 @@ from scanloom.stages.scans.model.scan import Frame, Scan
 from scanloom.stages.surface.mesh import Mesh
 from scanloom.stages.surface.mesh_files import read_mesh, write_mesh
 from scanloom.stages.surface.texture import Image
+from scanloom.stages.texturing.normal_map import NormalMapResult, bake_normal_map
 from scanloom.stages.texturing.provenance_maps import write_maps
-from scanloom.stages.texturing.texture import TextureParams, texture
+from scanloom.stages.texturing.shading_normals import add_shading_normals
+from scanloom.stages.texturing.texture import TextureParams, TextureResult, texture
 
 TEXTURED_FILE = "textured.glb"
 
 # Golden angle in units of 2°, the hue unit of OpenCV.
 _GOLDEN_ANGLE = 68.754
+
+# Maximum growth of textured.glb by a normal map and vertex normals, and bytes of JSON for both.
+_MAX_GROWTH_RATIO = 1 / 3
+_JSON_BYTES = 1024
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,6 +65,11 @@ class TextureSection(TextureParams):
         invalidates=False,
         is_path=True,
         common=True,
+    )
+    normal_map: bool = param(
+        True,
+        "Add a normal map with the details of the refined mesh, if it lowers the shading error and enlarges "
+        "the file by a third or less.",
     )
 
 
@@ -82,25 +97,30 @@ class TextureInputs(PosedFrames):
 
     Attributes
     ----------
+    refined_mesh : source of the normal map.
     photos : scan read from `texture.images`, used instead of the frames.
     """
 
     simplified_mesh: SimplifiedMesh
     up_direction: UpDirection
+    refined_mesh: RefinedMesh | None = None
     photos: Scan | None = None
 
 
 def _run(inputs: TextureInputs, params: TextureSection, context: Context) -> Mapping[str, Any]:
     scan = inputs.load_posed() if inputs.photos is None else inputs.photos
     mesh, up = inputs.simplified_mesh.load(), inputs.up_direction.load()
-    metrics = write_textured(context.folder, mesh, scan.frames, params, up, context.progress)
+    refined = inputs.refined_mesh
+    original = None if refined is None or refined.is_large else refined.load()
+    metrics = write_textured(context.folder, mesh, scan.frames, params, up, context.progress, original)
     warn_skipped_frames(metrics["frames_skipped"])
     return metrics
 
 
 def _list_ignored_inputs(config: Sections) -> Collection[str]:
-    is_given = config.get(TextureSection).images is not None
-    return ("frames", "poses", "adjusted_cameras", "names") if is_given else ()
+    params = config.get(TextureSection)
+    ignored = () if params.images is None else ("frames", "poses", "adjusted_cameras", "names")
+    return ignored if params.normal_map else (*ignored, "refined_mesh")
 
 
 def get_skip_reason(scan: Scan, config: Sections) -> str | None:
@@ -120,13 +140,40 @@ def write_textured(
     params: TextureSection,
     up: Up | None,
     progress: Progress,
+    original: Mesh | None = None,
 ) -> dict[str, Any]:
-    """Texture the mesh, write textured.glb (upright) and the per-texel maps, and return metrics."""
+    """Texture the mesh, write textured.glb (upright) and the per-texel maps, and return metrics.
+
+    Parameters
+    ----------
+    original : source of the normal map; None for no map.
+    """
     textured = texture(mesh, frames, params, progress=progress)
-    write_mesh(folder / TEXTURED_FILE, textured.mesh.with_(up=up))
+    path = folder / TEXTURED_FILE
+    write_mesh(path, textured.mesh.with_(up=up))
+    detail = None if original is None else _write_normal_map(path, textured, original, up)
     (folder / TEXTURE_MAPS).mkdir()
     write_maps(folder / TEXTURE_MAPS, textured)
-    return textured.to_dict()
+    return textured.to_dict() | {"normal_map": detail and detail.to_dict()}
+
+
+def _write_normal_map(path: Path, textured: TextureResult, original: Mesh, up: Up | None) -> NormalMapResult:
+    """Write the textured mesh with a normal map if it is worth its bytes."""
+    plain_bytes = path.stat().st_size
+    write_mesh(path, add_shading_normals(textured.mesh, textured.layout.uvs).with_(up=up))
+    max_bytes = (1 + _MAX_GROWTH_RATIO) * plain_bytes - path.stat().st_size - _JSON_BYTES
+    found = bake_normal_map(textured.mesh, original, textured.layout, max_bytes)
+    write_mesh(path, (found.mesh or textured.mesh).with_(up=up))
+    return found
+
+
+def _format_headline(metrics: Mapping[str, Any]) -> str:
+    found = metrics["normal_map"]
+    text = (
+        "{photos} photos on {triangles:,} triangles; {coverage_ratio:.0%} of the surface covered, "
+        "texel size {texel_size_m:.2g} m"
+    )
+    return text + ("; normal map" if found and found["is_written"] else "")
 
 
 def color_by_photo(mesh: Mesh, maps: Path) -> Mesh:
@@ -168,7 +215,7 @@ STAGE = Stage(
     artifact=TexturedMesh,
     run=_run,
     versions=make_fixed_versions(texture),
-    libraries=list_installed_versions("scanloom", "opencv"),
+    libraries=list_installed_versions("scanloom", "opencv", "scipy"),
     result_names=(TEXTURED_FILE, f"{TEXTURE_MAPS}/"),
     ignored_inputs=_list_ignored_inputs,
     skip_reason=get_skip_reason,
@@ -180,6 +227,5 @@ STAGE = Stage(
         depends_on_voxel_size=False,
         max_bytes=MAX_BYTES_IN_CHUNKS,
     ),
-    headline="{photos} photos on {triangles:,} triangles; {coverage_ratio:.0%} of the surface covered, "
-    "texel size {texel_size_m:.2g} m",
+    headline=_format_headline,
 )

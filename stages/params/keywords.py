@@ -34,6 +34,10 @@ class AdjustKeywords(TypedDict, total=False):
 class BakeKeywords(TypedDict, total=False):
     """Fields of `BakeParams`."""
 
+    normal_map: bool
+    occlusion_map: bool
+    occlusion_distance: float | None
+    displacement_map: bool
     texel_size: float | None
     max_size: int
     max_texels: float

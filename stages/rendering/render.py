@@ -25,7 +25,8 @@ from scanloom.stages.surface.mesh_conversion import MeshLike, as_mesh
 from scanloom.stages.surface.raycasting import Floats, RaycastingSurface, RayHits, iterate_chunks
 from scanloom.stages.surface.surface_color import compute_surface_colors, has_color
 from scanloom.stages.surface.topology import require_measurable
-from scanloom.stages.surface.vertex_normals import compute_vertex_normals
+from scanloom.stages.surface.vertex_normals import compute_vertex_normals, interpolate_normals
+from scanloom.stages.texturing.shading_normals import NormalMaps, has_normal_map
 
 __all__ = ["RenderModel", "Shading", "Viewpoint", "render", "viewpoints", "write_png"]
 
@@ -50,8 +51,6 @@ _RESTART_OFFSET_RATIO = 1e-5
 _MAX_CULLED = 16
 # Minimum near-to-far depth ratio of a box for its projection. Closer boxes are treated as filling the image.
 _MIN_DEPTH_RATIO = 1e-3
-# A vertex normal at a larger angle (26°) to the normal of a triangle is ignored: the vertex is on a crease.
-_MIN_CREASE_COSINE = 0.9
 _TINY = np.finfo(np.float32).tiny
 
 
@@ -114,6 +113,7 @@ class RenderModel:
             compute_vertex_normals(surface.mesh).astype(np.float32) if normals is None else normals
         )
         self._is_colored = has_color(surface.mesh)
+        self._normal_maps = NormalMaps(surface.mesh) if has_normal_map(surface.mesh) else None
 
     def replace_colors(self, mesh: Mesh) -> RenderModel:
         """Return the model with the colours of another mesh with the same vertices and triangles."""
@@ -181,14 +181,12 @@ class RenderModel:
             hits = self.surface.cast_rays(origin, directions[rays], starts)
             hits = replace(hits, rays=rays[hits.rays])
 
-    def _interpolate_normals(self, hits: RayHits, corners: NDArray[np.int32]) -> _Floats:
-        """Interpolate the normals of the vertices within the smooth parts of the surface."""
-        blended = np.zeros_like(hits.normals)
-        for i in range(3):
-            normals = self._normals.take(corners[:, i], axis=0)
-            is_crease = (_dot(normals, hits.normals) < _MIN_CREASE_COSINE)[:, None]
-            blended += np.where(is_crease, hits.normals, normals) * hits.weights[:, i : i + 1]
-        return _normalize(blended)
+    def _compute_normals(self, hits: RayHits, corners: NDArray[np.int32]) -> _Floats:
+        """Compute shading normals: from normal maps, else interpolated within the smooth parts."""
+        normals = interpolate_normals(self._normals, corners, hits.weights, hits.normals)
+        if self._normal_maps is not None:
+            self._normal_maps.apply(normals, hits.triangles, hits.weights)
+        return normals
 
     def _shade_hits(
         self, hits: RayHits, directions: _Floats, viewpoint: Viewpoint, shading: Shading
@@ -199,7 +197,7 @@ class RenderModel:
         is_back_face = _dot(hits.normals, view_directions) > 0
         normals = hits.normals
         if shading != "edges":
-            normals = self._interpolate_normals(hits, corners)
+            normals = self._compute_normals(hits, corners)
         normals = np.asarray(np.where(is_back_face[:, None], -normals, normals))
         to_light = np.asarray(viewpoint.world_from_camera[:3, :3] @ _LIGHT, np.float32)
         light = _dot(normals, to_light).clip(0, 1)

@@ -105,7 +105,7 @@ class BakePlan:
             emit(create_texture_warning("simplify"))
             return replace(found, mesh=mesh.with_(texture=None))
         if not self.classes:
-            baked = bake(mesh, self.original)
+            baked = bake(mesh, self.original, normal_map=False, occlusion_map=False)
         else:
             if self.shape.texture is not None and mesh.texture is not None:
                 class_ids = mesh.texture.material_ids
@@ -169,7 +169,8 @@ def plan_baking(
 
 def is_visibly_different(found: SimplificationResult[Any]) -> bool:
     """Return True if baked images differ visibly from the model's own."""
-    return found.baked is not None and found.baked.color.rmse > _VISIBLE_COLOR_LEVELS
+    color = None if found.baked is None else found.baked.color
+    return color is not None and color.rmse > _VISIBLE_COLOR_LEVELS
 
 
 def exceeds_count(found: SimplificationResult[Any], triangles: int) -> bool:
@@ -233,7 +234,12 @@ def choose_texture(
         make_distance_target(kept.mesh, box, kept_surface),
         _PRETEST_SAMPLES,
     )
-    if color is None or color.rmse >= _CLEAR_MARGIN * _MAX_COLOR_RATIO * baked.baked.color.rmse:
+    baked_color = baked.baked.color
+    if (
+        color is None
+        or baked_color is None
+        or color.rmse >= _CLEAR_MARGIN * _MAX_COLOR_RATIO * baked_color.rmse
+    ):
         return baked
     baked_surface = NeedleSafeSurface(RaycastingSurface(baked.mesh, box), box)
     of_baked, of_kept = (

@@ -172,6 +172,21 @@ class RaycastingSurface:
             found["primitive_normals"].numpy()[met],
         )
 
+    def are_occluded(
+        self, origins: Floats, directions: NDArray[np.float32], max_distance: float
+    ) -> NDArray[np.bool_]:
+        """Check if rays hit the surface within a distance.
+
+        Parameters
+        ----------
+        origins : (k, 3) metres.
+        directions : (k, 3) unit vectors.
+        max_distance : metres.
+        """
+        rays = np.concatenate([self._normalize_points(origins), directions], axis=1)
+        limit = max_distance * self._scale
+        return np.asarray(self._scene.test_occlusions(import_open3d().core.Tensor(rays), 0.0, limit).numpy())
+
     def find_nearest_triangles(self, points: Floats) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
         """Find the triangle (k,) nearest to each point, and its distance, in single precision.
 

@@ -76,6 +76,19 @@ class AtlasLayout:
         sizes = np.array(self.sizes, np.float64)[self.images]
         return np.asarray(self.corners * (1, -1) / sizes[:, None] + (0, 1))
 
+    def reduce(self, factor: int) -> AtlasLayout:
+        """Return the layout for images that are smaller by a factor along each side.
+
+        The factor must divide the sizes of all images.
+        """
+        return replace(
+            self,
+            corners=self.corners / factor,
+            sizes=tuple((width // factor, height // factor) for width, height in self.sizes),
+            padding=self.padding // factor,
+            texels_per_m=self.texels_per_m / factor,
+        )
+
     def compute_mean_texel_size(self, mesh: Mesh) -> float:
         """Return the mean size of a texel on the mesh, metres."""
         area = float(compute_areas(mesh.vertices, mesh.triangles).sum())

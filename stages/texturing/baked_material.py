@@ -7,7 +7,7 @@ from dataclasses import replace
 from typing import Any
 
 from scanloom.stages.diagnostics.collector import emit
-from scanloom.stages.surface.formats.gltf_materials import GltfMaterialSource
+from scanloom.stages.surface.formats.gltf_materials import CLAMP_SAMPLER, GltfMaterialSource
 from scanloom.stages.surface.formats.mtl import MtlMaterialSource
 from scanloom.stages.surface.texture import Image, Material, Texture
 from scanloom.stages.texturing.codes import TEXTURE_BAKE_LEFT_OUT
@@ -19,8 +19,6 @@ from scanloom.stages.texturing.material_classes import (
     get_value,
 )
 from scanloom.stages.texturing.material_factors import has_common_base_color, has_common_factors
-
-_CLAMP = {"wrapS": 33071, "wrapT": 33071}
 
 
 def build_material(
@@ -54,7 +52,7 @@ def build_material(
             holder = holder.setdefault(key, {})
         info = holder.setdefault(path[-1], {})
         info["index"] = index
-        textures[index] = (image, dict(_CLAMP))
+        textures[index] = (image, dict(CLAMP_SAMPLER))
         if path[-1].lower().endswith("normaltexture"):
             info.pop("scale", None)
         elif path in FACTORS and not has_common_factors(texture, material_class, path):

@@ -28,6 +28,7 @@ from scanloom.stages.texturing.material_classes import (
     TexturePath,
     get_image,
     get_value,
+    get_wrap,
     is_opaque,
     list_images,
 )
@@ -201,7 +202,9 @@ class ClassBaker:
     def _sample(self, canvas: Pixels, image: Pixels, number: int, path: TexturePath) -> None:
         """Sample an image into the texels of a canvas that show a material."""
         is_shown = self._texture.material_ids == number
-        self._sources.sample(canvas, image, self._texture.uvs, is_shown, self._get_wrap(number, path))
+        self._sources.sample(
+            canvas, image, self._texture.uvs, is_shown, get_wrap(self._texture.materials[number], path)
+        )
 
     def _create_canvas(self, color: Sequence[int]) -> Pixels:
         width, height = self._pages.sizes[self._page]
@@ -211,15 +214,6 @@ class ClassBaker:
         canvas = np.empty((height, width, len(color)), np.uint8)
         canvas[:] = color
         return canvas
-
-    def _get_wrap(self, number: int, path: TexturePath) -> tuple[str, str]:
-        material = self._texture.materials[number]
-        if path == BASE_COLOR:
-            return material.wrap
-        codes = {10497: "repeat", 33071: "clamp", 33648: "mirror"}
-        info = get_value(material.kept.tree, path)
-        sampler = material.kept.textures[info["index"]][1]
-        return codes.get(sampler.get("wrapS"), "repeat"), codes.get(sampler.get("wrapT"), "repeat")
 
     def _find_points(self, is_shown: NDArray[np.bool_]) -> TexelPoints:
         """Select the source points on the given original triangles (m,)."""
@@ -330,7 +324,9 @@ class ClassBaker:
             id(get_image(self._texture.materials[number], path)) for number in self._class.material_indices
         )
         is_own = is_normal or (path in FACTORS and not has_common_factors(self._texture, self._class, path))
-        wraps = tuple(self._get_wrap(number, path) for number in self._class.material_indices)
+        wraps = tuple(
+            get_wrap(self._texture.materials[number], path) for number in self._class.material_indices
+        )
         return (images, wraps, path if is_own else None)
 
     def _prepare_image(self, path: TexturePath, canvas: Pixels, name: str) -> tuple[str, Pixels, ImageFormat]:

@@ -69,9 +69,9 @@ class TexelPoints:
     triangles: NDArray[np.int32]
     weights: NDArray[np.float32]
 
-    def __getitem__(self, mask: NDArray[np.bool_]) -> TexelPoints:
-        """Return the points selected by a mask (n,)."""
-        return TexelPoints(self.texels[mask], self.triangles[mask], self.weights[mask])
+    def __getitem__(self, rows: NDArray[np.bool_] | slice) -> TexelPoints:
+        """Return the points selected by a mask (n,) or a slice."""
+        return TexelPoints(self.texels[rows], self.triangles[rows], self.weights[rows])
 
 
 @dataclass(frozen=True, eq=False)

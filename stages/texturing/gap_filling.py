@@ -28,6 +28,21 @@ def fill_gaps_smoothly(
     -------
     (h, w, 3) uint8.
     """
+    distance, source = find_nearest_filled(is_filled)
+    near = distance <= padding
+    gap = near & ~is_filled
+    image[gap] = image.reshape(-1, 3)[source[gap]]
+    _pull_push(image, near)
+    return np.asarray(np.rint(image).clip(0, 255), np.uint8)
+
+
+def find_nearest_filled(is_filled: NDArray[np.bool_]) -> tuple[NDArray[np.float32], NDArray[np.int64]]:
+    """Find the nearest filled texel of each texel; at least one must be filled.
+
+    Returns
+    -------
+    Distances (h, w) in texels, and indices (h, w) into the flattened image.
+    """
     require_opencv()
     import cv2
 
@@ -37,11 +52,7 @@ def fill_gaps_smoothly(
     )
     source = np.empty(labels.max() + 1, np.int64)
     source[labels[is_filled]] = np.flatnonzero(is_filled)
-    near = distance <= padding
-    gap = near & ~is_filled
-    image[gap] = image.reshape(-1, 3)[source[labels[gap]]]
-    _pull_push(image, near)
-    return np.asarray(np.rint(image).clip(0, 255), np.uint8)
+    return np.asarray(distance, np.float32), source[labels]
 
 
 def _pull_push(image: NDArray[np.float32], is_known: NDArray[np.bool_]) -> None:

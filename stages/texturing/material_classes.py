@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from scanloom.stages.surface.formats.gltf_materials import GltfMaterialSource, multiplies_colors
+from scanloom.stages.surface.formats.gltf_materials import WRAP_MODES, GltfMaterialSource, multiplies_colors
 from scanloom.stages.surface.mesh import Mesh
 from scanloom.stages.surface.surface_color import decode_material_image
 from scanloom.stages.surface.texture import Image, Material, Texture
@@ -110,6 +110,14 @@ def get_image(material: Material, path: TexturePath) -> Image | None:
     info = get_value(material.kept.tree, path)
     image = None if info is None else material.kept.textures.get(info["index"], (None, {}))[0]
     return image if image is not None and decode_material_image(Material(image=image)) is not None else None
+
+
+def get_wrap(material: Material, path: TexturePath) -> tuple[str, str]:
+    """Return the wrap modes of a texture along u and v."""
+    if path == BASE_COLOR:
+        return material.wrap
+    sampler = material.kept.textures[get_value(material.kept.tree, path)["index"]][1]
+    return WRAP_MODES.get(sampler.get("wrapS"), "repeat"), WRAP_MODES.get(sampler.get("wrapT"), "repeat")
 
 
 def list_images(texture: Texture, material_class: MaterialClass, path: TexturePath) -> list[Image]:

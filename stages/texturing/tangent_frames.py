@@ -1,8 +1,9 @@
 """Tangent frames for tangent-space normal maps, as viewers derive them.
 
-The method follows MikkTSpace (Mikkelsen 2008, "Simulation of wrinkled surfaces revisited"). Tangents of
-triangles that share position, normal and texture coordinates are averaged, weighted by angle. The bitangent
-is the cross product of normal and tangent.
+The method is MikkTSpace (Mikkelsen 2008, "Simulation of wrinkled surfaces revisited"), the default of glTF.
+Tangents are averaged over triangles that share position, normal and texture coordinates, are connected by
+edges, and have the same orientation in the image. Weights are angles in the plane of the normal. The
+bitangent is the cross product of normal and tangent.
 """
 
 from __future__ import annotations
@@ -15,6 +16,8 @@ from numpy.typing import NDArray
 
 from scanloom.stages.surface.mesh import Mesh
 from scanloom.stages.surface.raycasting import compute_triangle_normals
+from scanloom.stages.surface.welding import find_first_equal_rows
+from scanloom.stages.texturing.corner_groups import group_corners
 
 Floats = NDArray[np.float32]
 
@@ -36,8 +39,8 @@ class TangentFrames:
     def interpolate(self, triangles: NDArray[Any], weights: NDArray[Any]) -> tuple[Floats, Floats, Floats]:
         """Interpolate tangents, bitangents and normals (k, 3) at points of the surface."""
         shares = weights.astype(np.float32)
-        normals = _interpolate(self.normals, triangles, shares)
-        tangents = _interpolate(self.tangents, triangles, shares)
+        normals = interpolate_corners(self.normals, triangles, shares)
+        tangents = interpolate_corners(self.tangents, triangles, shares)
         bitangents = np.cross(normals, tangents) * self.signs[triangles][:, None]
         return tangents, np.asarray(bitangents, np.float32), normals
 
@@ -53,23 +56,27 @@ def compute_tangent_frames(mesh: Mesh, uvs: NDArray[np.float64]) -> TangentFrame
     along = _normalize((first * v2[:, None] - second * v1[:, None]) * signs[:, None])
     # Project tangents to the plane of each corner's normal, weighted by the angle of the corner.
     flat = along[:, None] - normals * np.einsum("mx,mkx->mk", along, normals)[..., None]
-    flat = _normalize(flat.reshape(-1, 3)).reshape(-1, 3, 3) * _compute_corner_angles(corners)[..., None]
-    key = np.concatenate(
-        [
-            np.round(corners.reshape(-1, 3), 12),
-            np.round(normals.reshape(-1, 3), 6),
-            np.round(uvs.reshape(-1, 2), 9),
-            np.repeat(signs, 3)[:, None],
-        ],
-        axis=1,
-    )
-    _, inverse = np.unique(
-        np.ascontiguousarray(key + 0.0).view([("", key.dtype)] * key.shape[1]), return_inverse=True
-    )
-    inverse = inverse.reshape(-1)
-    sums = np.stack([np.bincount(inverse, flat.reshape(-1, 3)[:, axis]) for axis in range(3)], axis=1)
-    tangents = _normalize(sums)[inverse].reshape(-1, 3, 3)
+    weighted = _normalize(flat.reshape(-1, 3)) * _compute_corner_angles(corners, normals).reshape(-1, 1)
+    groups = _group_corners(corners, normals, uvs, signs)
+    sums = np.stack([np.bincount(groups, weighted[:, axis]) for axis in range(3)], axis=1)
+    tangents = _normalize(sums)[groups].reshape(-1, 3, 3)
     return TangentFrames(normals.astype(np.float32), tangents.astype(np.float32), signs.astype(np.float32))
+
+
+def _group_corners(
+    corners: NDArray[np.float64],
+    normals: NDArray[np.float64],
+    uvs: NDArray[np.float64],
+    signs: NDArray[np.float64],
+) -> NDArray[np.int32]:
+    """Group the corners (3 m,) that share a tangent."""
+    # Viewers compare values in single precision, as stored. Positions may exceed its range.
+    columns = [*corners.reshape(-1, 3).T]
+    columns += [
+        column for one in (normals, uvs) for column in one.reshape(-1, one.shape[2]).astype(np.float32).T
+    ]
+    welded = find_first_equal_rows(columns).reshape(-1, 3)
+    return group_corners(welded, lambda one, other: signs[one // 3] == signs[other // 3])
 
 
 def get_corner_normals(mesh: Mesh) -> NDArray[np.float64]:
@@ -85,11 +92,11 @@ def get_corner_normals(mesh: Mesh) -> NDArray[np.float64]:
 
 
 def decode_normals(
-    texels: NDArray[np.uint8],
+    texels: NDArray[Any],
     frame: tuple[Floats, Floats, Floats],
     scales: NDArray[np.floating[Any]] | float,
 ) -> Floats:
-    """Decode tangent-space normals (k, 3) uint8 to object-space unit normals."""
+    """Decode tangent-space normals (k, 3), in levels, to object-space unit normals."""
     tangents, bitangents, normals = frame
     local = texels[:, :3].astype(np.float32) * np.float32(2 / 255) - 1
     local[:, :2] *= np.asarray(scales, np.float32)[..., None] if np.ndim(scales) else np.float32(scales)
@@ -111,19 +118,23 @@ def encode_normals(directions: Floats, frame: tuple[Floats, Floats, Floats]) -> 
     return np.asarray(np.rint((local + 1) * np.float32(127.5)).clip(0, 255), np.uint8)
 
 
-def _interpolate(values: Floats, triangles: NDArray[Any], shares: Floats) -> Floats:
+def interpolate_corners(values: Floats, triangles: NDArray[Any], shares: Floats) -> Floats:
+    """Interpolate corner values (m, 3, 3) at points with barycentric weights (k, 3)."""
     found = values[:, 0].take(triangles, axis=0) * shares[:, :1]
     for k in (1, 2):
         found += values[:, k].take(triangles, axis=0) * shares[:, k : k + 1]
     return found
 
 
-def _compute_corner_angles(corners: NDArray[np.float64]) -> NDArray[np.float64]:
+def _compute_corner_angles(corners: NDArray[np.float64], normals: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Compute the angles (m, 3) between the sides at each corner, seen along the normal."""
     angles = np.empty(corners.shape[:2])
     for k in range(3):
-        a = _normalize(corners[:, (k + 1) % 3] - corners[:, k])
-        b = _normalize(corners[:, (k + 2) % 3] - corners[:, k])
-        angles[:, k] = np.arccos(np.einsum("mx,mx->m", a, b).clip(-1, 1))
+        a, b = (
+            _normalize(side - normals[:, k] * _dot(side, normals[:, k])[:, None])
+            for side in (corners[:, (k + 1) % 3] - corners[:, k], corners[:, (k + 2) % 3] - corners[:, k])
+        )
+        angles[:, k] = np.arccos(_dot(a, b).clip(-1, 1))
     return angles
 
 
@@ -132,5 +143,5 @@ def _normalize(vectors: NDArray[Any]) -> NDArray[Any]:
     return np.asarray(np.divide(vectors, length, out=np.zeros_like(vectors), where=length > 0))
 
 
-def _dot(a: Floats, b: Floats) -> Floats:
+def _dot(a: NDArray[Any], b: NDArray[Any]) -> NDArray[Any]:
     return np.asarray(np.einsum("kx,kx->k", a, b))

@@ -63,7 +63,8 @@ if TYPE_CHECKING:
 
     from scanloom.stages.params.keywords import TextureKeywords
 
-RESULT_VERSION = 16
+# Also covers `bake_normal_map`, which the stage runs on the result.
+RESULT_VERSION = 17
 
 _MIN_SIZE = 64
 # Median shift as a ratio of a photo's width, below which photos count as aligned.
@@ -179,6 +180,7 @@ class TextureResult:
         end at occlusion boundaries; this ratio compensates for that.
     labels : for each image, (h, w) int32, photo with the highest weight; -1 if no photo shows the surface.
     photo_counts : for each image, (h, w) uint8, number of blended photos.
+    layout : layout of the mesh in the images.
     diagnostics : warnings.
     """
 
@@ -202,6 +204,7 @@ class TextureResult:
     seam_ratio_over_photos: float | None
     labels: tuple[NDArray[np.int32], ...]
     photo_counts: tuple[NDArray[np.uint8], ...]
+    layout: AtlasLayout
     diagnostics: tuple[Diagnostic, ...] = ()
 
     __repr__ = format_by_metrics
@@ -538,6 +541,7 @@ def _make_result(
         seam_ratio_over_photos=metrics.seam_ratio_over_photos,
         labels=tuple(one.labels for one in images),
         photo_counts=tuple(one.view_counts for one in images),
+        layout=pages,
     )
 
 

@@ -64,3 +64,29 @@ def assert_same_topology(now: Mesh, before: Mesh) -> None:
     for name in ("euler", "boundary_loops", "components", "duplicate"):
         assert getattr(is_now, name) == getattr(was, name), name
     assert is_now.unreferenced == 0
+
+
+def make_square(depth: float = 0.0, turned: bool = False) -> Mesh:
+    """Make two triangles over the unit square that face up, or down if `turned`."""
+    vertices = np.array([[0, 0, depth], [1, 0, depth], [1, 1, depth], [0, 1, depth]])
+    triangles = np.array([[0, 1, 2], [0, 2, 3]], np.int32)
+    return Mesh(vertices, triangles[:, ::-1] if turned else triangles)
+
+
+def join_meshes(*meshes: Mesh) -> Mesh:
+    offsets = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
+    triangles = [mesh.triangles + offset for mesh, offset in zip(meshes, offsets, strict=False)]
+    colors = [mesh.colors for mesh in meshes]
+    return Mesh(
+        np.concatenate([mesh.vertices for mesh in meshes]),
+        np.concatenate(triangles).astype(np.int32),
+        None if colors[0] is None else np.concatenate(colors),
+    )
+
+
+def sample_inside(mesh: Mesh, count: int = 5000, seed: int = 0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Sample random points in triangles: triangle, weights, position."""
+    rng = np.random.default_rng(seed)
+    triangles = rng.choice(len(mesh.triangles), count)
+    weights = rng.dirichlet((1, 1, 1), count)
+    return triangles, weights, np.einsum("kc,kcx->kx", weights, mesh.vertices[mesh.triangles[triangles]])

@@ -12,6 +12,7 @@ from scanloom.stages.comparing.compare import compare
 from scanloom.stages.progress import ignore_progress
 from scanloom.stages.scans.model.scan import Scan
 from scanloom.stages.simplification.simplify import simplify
+from scanloom.stages.surface.formats.gltf_materials import is_unlit
 from scanloom.stages.surface.mesh_files import read_mesh
 
 
@@ -29,6 +30,19 @@ def test_bake_writes_a_glb_with_the_colours_of_the_original(tmp_path: Path):
     assert found.rmse == pytest.approx(metrics["color"]["rmse_levels"], rel=0.1)
     assert baked.up == (0.0, -1.0, 0.0)
     assert found.psnr > metrics["vertex_color"]["psnr_db"] + 3
+
+
+def test_bake_writes_maps_with_an_unlit_material(tmp_path: Path):
+    original = sheet(n=20)
+    light = simplify(original, ratio=0.1).mesh
+    params = BakeSection(displacement_map=True)
+    metrics = write_baked(tmp_path, light, original, None, params, ignore_progress)
+    material = read_mesh(tmp_path / "baked.glb").texture.materials[0]
+    assert is_unlit(material)
+    assert {"normalTexture", "occlusionTexture"} <= set(material.kept.tree)
+    displacement = tmp_path / "baked_maps" / "baked-displacement.png"
+    assert displacement.stat().st_size == metrics["maps"]["displacement"]
+    assert 0 < metrics["displacement_range_m"] < 0.1
 
 
 def test_bake_is_planned_only_if_enabled():

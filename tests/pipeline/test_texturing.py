@@ -7,17 +7,22 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
-from wall_photos import CAMERA, paint, photos
+from wall_photos import CAMERA, paint, photos, wall
 
-from scanloom import InputError
+from scanloom import InputError, export
 from scanloom.pipeline.cache.store import Cache
 from scanloom.pipeline.config import Config
+from scanloom.pipeline.graph import find_stage
 from scanloom.pipeline.run.dry_run import predict_run
 from scanloom.pipeline.run.run import RunResult, prepare_run, run
+from scanloom.pipeline.steps.texture import TextureSection, write_textured
+from scanloom.stages.progress import ignore_progress
 from scanloom.stages.scans.layouts.scan_json import write_scan_json
 from scanloom.stages.scans.model.scan import Frame
+from scanloom.stages.surface.formats.gltf_materials import is_unlit
 from scanloom.stages.surface.mesh_files import read_mesh
 from scanloom.stages.surface.surface_color import compute_surface_colors
+from scanloom.stages.texturing.shading_normals import has_normal_map
 
 pytestmark = pytest.mark.slow
 
@@ -131,3 +136,39 @@ def test_colour_bounds_limit_simplification_only_without_a_texture(tmp_path: Pat
     # Enabling the texture again hits the first result.
     told = Config().set(["adjust.enabled=false", "fuse.voxel_size=0.02"])
     assert list_computed(run(scan, out, told, until="simplify")) == set()
+
+
+@pytest.mark.parametrize("height", [0.0, 0.01])
+def test_a_normal_map_is_written_if_it_is_worth_its_bytes(tmp_path: Path, height: float):
+    light, fine = wall(2), wall(80)
+    relief = height * np.sin(20 * fine.vertices[:, 0])
+    original = fine.with_(vertices=fine.vertices + relief[:, None] * (0, 0, 1))
+    metrics, sizes = [], []
+    for name, source in (("plain", None), ("mapped", original)):
+        folder = tmp_path / name
+        folder.mkdir()
+        metrics.append(
+            write_textured(folder, light, photos(4), TextureSection(), None, ignore_progress, source)
+        )
+        sizes.append((folder / "textured.glb").stat().st_size)
+    assert metrics[0]["normal_map"] is None
+    about = metrics[1]["normal_map"]
+    mapped = read_mesh(tmp_path / "mapped" / "textured.glb")
+    assert about["is_written"] == has_normal_map(mapped) == (height > 0)
+    if height == 0:
+        assert sizes[1] == sizes[0]
+        return
+    assert sizes[1] <= 4 / 3 * sizes[0]
+    assert about["shading_error_after"]["p90_deg"] < about["shading_error_before"]["p90_deg"] / 2
+    assert is_unlit(mapped.texture.materials[0])
+    # Unlit files drop the map, which they would not show; lit files keep it.
+    for shading in ("unlit", "lit"):
+        export(mapped, tmp_path / f"{shading}.glb", shading=shading)
+        assert has_normal_map(read_mesh(tmp_path / f"{shading}.glb")) == (shading == "lit")
+
+
+def test_the_refined_mesh_counts_only_for_a_normal_map():
+    stage = find_stage("texture")
+    assert stage is not None
+    assert "refined_mesh" not in stage.ignored_inputs(Config())
+    assert "refined_mesh" in stage.ignored_inputs(Config().set(["texture.normal_map=false"]))

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 from urllib.parse import unquote
 
@@ -30,7 +30,9 @@ from scanloom.stages.surface.formats.gltf_container import (
 from scanloom.stages.surface.formats.texture_files import read_texture
 from scanloom.stages.surface.texture import Image, Material
 
-_WRAP_MODES = {10497: "repeat", 33071: "clamp", 33648: "mirror"}
+WRAP_MODES = {10497: "repeat", 33071: "clamp", 33648: "mirror"}
+# Sampler of an atlas, whose texture coordinates stay inside the image.
+CLAMP_SAMPLER: JsonObject = {"wrapS": 33071, "wrapT": 33071}
 _TEXTURE_TRANSFORM = "KHR_texture_transform"
 # Core glTF allows PNG and JPEG; most programs support the WebP extension.
 _SUPPORTED_MEDIA_TYPES = ("image/png", "image/jpeg", "image/webp")
@@ -149,7 +151,7 @@ class MaterialReader:
                 image, sampler = found
             _remove_placement(info)
         u, v = sampler.get("wrapS", 0), sampler.get("wrapT", 0)
-        wrap = _WRAP_MODES.get(u, "repeat"), _WRAP_MODES.get(v, "repeat")
+        wrap = WRAP_MODES.get(u, "repeat"), WRAP_MODES.get(v, "repeat")
         color = None
         if "baseColorFactor" in surface:
             factor = np.clip(np.array(surface["baseColorFactor"], float).reshape(4), 0, 1)
@@ -226,8 +228,10 @@ def _remove_extension(tree: JsonObject, name: str) -> None:
         tree.pop("extensions", None)
 
 
-def _make_unlit(tree: JsonObject) -> None:
-    """Make a material unlit, without the extensions for lighting that exclude KHR_materials_unlit."""
+def _drop_lighting(tree: JsonObject) -> None:
+    """Make a material unlit, without the maps and extensions for lighting, which it ignores."""
+    for name in ("normalTexture", "occlusionTexture"):
+        tree.pop(name, None)
     extensions = tree.get("extensions", {})
     kept = {name: value for name, value in extensions.items() if not name.startswith("KHR_materials_")}
     tree["extensions"] = {**kept, UNLIT: {}}
@@ -239,6 +243,19 @@ def make_unlit_source() -> GltfMaterialSource:
     It suits images with baked-in lighting, such as photos.
     """
     return GltfMaterialSource(copy.deepcopy(_DEFAULT_UNLIT_MATERIAL))
+
+
+def make_unlit(material: Material) -> Material:
+    """Return the material unlit, with its maps for programs that light it."""
+    kept = material.kept if isinstance(material.kept, GltfMaterialSource) else make_lit_source()
+    tree = copy.deepcopy(kept.tree)
+    tree.setdefault("extensions", {})[UNLIT] = {}
+    return replace(material, kept=replace(kept, tree=tree))
+
+
+def make_lit_source() -> GltfMaterialSource:
+    """Return the properties of a rough, non-metallic material."""
+    return GltfMaterialSource(copy.deepcopy(_DEFAULT_MATERIAL))
 
 
 def is_unlit(material: Material) -> bool:
@@ -307,7 +324,7 @@ class MaterialWriter:
         tree = copy.deepcopy(kept.tree)
         if self._shading == "unlit":
             # Before images are stored: the file must not contain images of dropped extensions.
-            _make_unlit(tree)
+            _drop_lighting(tree)
         surface = tree.setdefault("pbrMetallicRoughness", {})
         has_other_image = material.image is not kept.image or material.wrap != kept.wrap
         if has_other_image:
@@ -381,7 +398,7 @@ class MaterialWriter:
 def _make_sampler(wrap: tuple[str, str]) -> JsonObject:
     if wrap == ("repeat", "repeat"):
         return {}
-    codes = {way: code for code, way in _WRAP_MODES.items()}
+    codes = {way: code for code, way in WRAP_MODES.items()}
     return {"wrapS": codes[wrap[0]], "wrapT": codes[wrap[1]]}
 
 

@@ -2,7 +2,7 @@ import cv2
 import numpy as np
 import pytest
 import trimesh
-from coloured_meshes import ball, color_trimesh, sheet
+from coloured_meshes import ball, color_trimesh, join_meshes, make_square, sample_inside, sheet
 
 import scanloom.stages.texturing.atlas_painting as pages_module
 from scanloom.stages.diagnostics.errors import MeshError, UsageError
@@ -12,32 +12,6 @@ from scanloom.stages.surface.surface_color import compute_surface_colors
 from scanloom.stages.texturing.bake import bake
 from scanloom.stages.texturing.codes import TEXTURE_BAKE_LEFT_OUT
 from scanloom.stages.texturing.gap_filling import fill_gaps_smoothly
-
-
-def make_square(depth: float = 0.0, turned: bool = False) -> Mesh:
-    """Make two triangles over the unit square that face up, or down if `turned`."""
-    vertices = np.array([[0, 0, depth], [1, 0, depth], [1, 1, depth], [0, 1, depth]])
-    triangles = np.array([[0, 1, 2], [0, 2, 3]], np.int32)
-    return Mesh(vertices, triangles[:, ::-1] if turned else triangles)
-
-
-def join_meshes(*meshes: Mesh) -> Mesh:
-    offsets = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
-    triangles = [mesh.triangles + offset for mesh, offset in zip(meshes, offsets, strict=False)]
-    colors = [mesh.colors for mesh in meshes]
-    return Mesh(
-        np.concatenate([mesh.vertices for mesh in meshes]),
-        np.concatenate(triangles).astype(np.int32),
-        None if colors[0] is None else np.concatenate(colors),
-    )
-
-
-def sample_inside(mesh: Mesh, count: int = 5000, seed: int = 0) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Sample random points in triangles: triangle, weights, position."""
-    rng = np.random.default_rng(seed)
-    triangles = rng.choice(len(mesh.triangles), count)
-    weights = rng.dirichlet((1, 1, 1), count)
-    return triangles, weights, np.einsum("kc,kcx->kx", weights, mesh.vertices[mesh.triangles[triangles]])
 
 
 @pytest.mark.slow
@@ -275,7 +249,7 @@ def test_progress_can_stop_baking():
 
 def test_invalid_input_is_reported():
     with pytest.raises(MeshError, match=r"original: .*neither vertex colours nor a texture"):
-        bake(make_square(), make_square(0.1))
+        bake(make_square(), make_square(0.1), normal_map=False, occlusion_map=False)
     with pytest.raises(MeshError, match="simplified mesh"):
         bake((np.zeros((3, 3)), np.array([[0, 1, 2]])), sheet(n=4))
     needle = np.array([[0, 0, 0], [1, 0, 0], [0.5, 1e-12, 0]])
