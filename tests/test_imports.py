@@ -36,6 +36,7 @@ TYPES_ONLY = {"typing_extensions"}
 OF_EXTRAS = {
     "pipeline/batch/dask_executor.py": {"distributed": "distributed", "dask_jobqueue": "dask-jobqueue"},
     "pipeline/batch/summary.py": {"pyarrow": "pyarrow"},
+    "stages/cleaning/solids/booleans.py": {"manifold3d": "manifold3d"},
     "stages/exporting/usd.py": {"pxr": "usd-core"},
     "stages/surface/formats/e57.py": {"pye57": "pye57"},
     "stages/surface/formats/las.py": {"laspy": "laspy"},

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from scanloom.stages.cleaning.codes import CLEAN_CHECK_FAILED
 from scanloom.stages.cleaning.regularity import AngleLimits, find_irregular
+from scanloom.stages.cleaning.solids.orientation import find_inside_out
 from scanloom.stages.diagnostics.codes import USAGE_OPTIONS_CONFLICT, USAGE_VALUE_INVALID
 from scanloom.stages.diagnostics.diagnostic import Diagnostic
 from scanloom.stages.diagnostics.errors import UsageError
@@ -175,7 +176,7 @@ class CheckResult:
         triangle.
     thickness : (m,) thickness of the solid behind each triangle, metres; NaN where it is undefined.
     min_thickness : metres; triangles below this thickness are reported as thin.
-    inside_out_count : number of closed components whose triangles face inwards.
+    inside_out_count : number of closed components whose triangles face inwards, except around cavities.
     triangles : (m, 3) triangles of the mesh, with duplicate vertices replaced by the first one.
     """
 
@@ -377,7 +378,7 @@ def _compute_points(mesh: Mesh, kind: ElementKind, ids: Ids) -> Vertices:
 
 
 def _count_inside_out(mesh: Mesh) -> int:
-    """Count the closed components that enclose a negative volume."""
+    """Count the closed components that face inwards, except around cavities."""
     triangles = mesh.triangles[~has_repeated_vertex(mesh.triangles)]
     if len(triangles) == 0:
         return 0
@@ -388,7 +389,9 @@ def _count_inside_out(mesh: Mesh) -> int:
     # Relative to the centre, to avoid cancellation far from the origin.
     a, b, c = (mesh.vertices[triangles] - compute_bounding_box(mesh).mean(axis=0)).transpose(1, 0, 2)
     volumes = np.bincount(labels[triangles[:, 0]], np.einsum("ij,ij->i", a, np.cross(b, c)), len(is_open))
-    return int(np.count_nonzero(~is_open & (volumes < 0)))
+    volumes = np.where(is_open, 0.0, volumes)
+    found = find_inside_out(Mesh(mesh.vertices, triangles), labels[triangles[:, 0]], volumes)
+    return int(np.count_nonzero(found))
 
 
 def _measure_thickness(mesh: Mesh) -> NDArray[np.float64]:

@@ -84,6 +84,8 @@ class CleanKeywords(TypedDict, total=False):
     min_island_area: float | None
     keep_largest: bool
     fill_holes: float
+    solid: bool
+    wall: float
     stitch: bool
     weld_distance: float
     repair: bool

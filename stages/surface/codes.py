@@ -36,7 +36,8 @@ MACHINE_EXTRA_MISSING = Code(
     "Missing optional library",
     """
 Some formats and plots need optional libraries: `pip install "scanloom[clouds]"` for LAS, LAZ and E57,
-`"scanloom[usd]"` for USD, `"scanloom[plot]"` for plots, `"scanloom[sfm]"` for photos without poses.
+`"scanloom[usd]"` for USD, `"scanloom[plot]"` for plots, `"scanloom[sfm]"` for photos without poses,
+`"scanloom[solid]"` for solids.
 """,
     "hall.laz: reading .laz requires laspy and lazrs; install scanloom[clouds].",
 )
