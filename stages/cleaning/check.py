@@ -89,8 +89,10 @@ CLASSES: dict[str, tuple[ElementKind, Treatment, str]] = {
 }
 
 PROPERTIES = ("watertight", "closed", "manifold", "oriented", "outward", "one-piece")
+# Requirements of 3-D printers, as one word. No thin walls are required if their limit is given.
+PRINTABLE = "printable"
 # All values that `scanloom check --require` accepts.
-REQUIREMENTS = (*PROPERTIES, *(f"no-{name.replace('_', '-')}" for name in CLASSES))
+REQUIREMENTS = (*PROPERTIES, PRINTABLE, *(f"no-{name.replace('_', '-')}" for name in CLASSES))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -213,9 +215,17 @@ class CheckResult:
         UsageError
             For an invalid requirement, see `validate_requirements`.
         """
-        wanted = list(requirements)
-        validate_requirements(wanted, self.min_thickness)
-        return [diagnostic for name in wanted if (diagnostic := self._diagnose(name))]
+        given = list(requirements)
+        validate_requirements(given, self.min_thickness)
+        wanted = []
+        for name in given:
+            wanted += self._list_printable() if name == PRINTABLE else [name]
+        return [diagnostic for name in dict.fromkeys(wanted) if (diagnostic := self._diagnose(name))]
+
+    def _list_printable(self) -> list[str]:
+        # "outward" includes "watertight", with the same message.
+        thin = ["no-thin-triangles"] if self.min_thickness > 0 else []
+        return ["outward", "no-intersecting-triangles", *thin]
 
     def to_dict(self) -> dict[str, Any]:
         """Return metrics for reports: topology, thickness and defects per class."""
@@ -389,8 +399,8 @@ def _count_inside_out(mesh: Mesh) -> int:
     # Relative to the centre, to avoid cancellation far from the origin.
     a, b, c = (mesh.vertices[triangles] - compute_bounding_box(mesh).mean(axis=0)).transpose(1, 0, 2)
     volumes = np.bincount(labels[triangles[:, 0]], np.einsum("ij,ij->i", a, np.cross(b, c)), len(is_open))
-    volumes = np.where(is_open, 0.0, volumes)
-    found = find_inside_out(Mesh(mesh.vertices, triangles), labels[triangles[:, 0]], volumes)
+    signed = np.where(is_open, 0.0, volumes.astype(np.float64))
+    found = find_inside_out(Mesh(mesh.vertices, triangles), labels[triangles[:, 0]], signed)
     return int(np.count_nonzero(found))
 
 

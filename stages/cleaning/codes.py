@@ -52,7 +52,7 @@ CLEAN_SOLID_INCOMPLETE = Code(
     "Solids that still intersect themselves",
     """
 `clean.solid` refills or rebuilds surface that intersects itself. The message contains the location of a
-triangle that still intersects or touches others after that.
+triangle that still intersects or touches others after that, or the part of the surface that is missing.
 """,
     (
         "the solid still intersects or touches itself at 2 triangles, the first at (0.12, -0.4, 1.01) m; set "

@@ -18,7 +18,9 @@ from scanloom.stages.cleaning.solids.attributes import transfer_attributes
 from scanloom.stages.cleaning.solids.booleans import require_manifold3d
 from scanloom.stages.cleaning.solids.border_closing import ClosingCounts, close_borders
 from scanloom.stages.cleaning.solids.self_intersections import (
+    MAX_LOST_RATIO,
     find_unsound,
+    measure_lost_ratio,
     orient_components,
     resolve_intersections,
 )
@@ -113,8 +115,19 @@ def make_solid(given: Mesh, wall: float, max_shape: float | None) -> SolidMesh:
     edge_length = float(np.median(lengths))
     limit = _MAX_SHAPE_RATIO * edge_length if max_shape is None else max_shape
     closed, closing = close_borders(given, wall, edge_length)
-    shell, method = resolve_intersections(orient_components(closed), edge_length, 2 * limit)
+    # A grid must resolve walls.
+    cell_size = 2 * limit if closing.thickened_sheets == 0 else min(2 * limit, wall / 2)
+    shell, method = resolve_intersections(orient_components(closed), edge_length, cell_size)
     _report_unsound(shell)
+    lost = measure_lost_ratio(given, shell, edge_length)
+    if lost > MAX_LOST_RATIO:
+        emit(
+            CLEAN_SOLID_INCOMPLETE.unmet(
+                "{lost:.0%} of the surface is not part of the solid",
+                remedy="set clean.wall to a larger thickness.",
+                lost=lost,
+            )
+        )
     is_exact = shell.source >= 0
     restored_bound = 0.0
     if method in ("refilled", "rebuilt"):

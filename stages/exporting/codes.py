@@ -40,3 +40,15 @@ bug.
 """,
     "chair.usdz: usd-core could not create the package; write .usda.",
 )
+EXPORT_NOT_SOLID = Code(
+    "export.not-solid",
+    "Meshes that cannot be prepared for printing",
+    """
+`export.hollow`, `export.plate` and `export.bed` need a closed surface without self-intersections. Run
+`scanloom clean IN OUT --solid` first.
+""",
+    (
+        "chair.ply: it is not solid: it has edges with only one triangle: 96, the first at "
+        "(0.12, -0.4, 1.01) m; run `scanloom clean --solid` first."
+    ),
+)

@@ -170,6 +170,10 @@ class ExportKeywords(TypedDict, total=False):
     images: str
     quality: int
     image_size: int
+    hollow: float
+    drain: float
+    plate: float
+    bed: tuple[float, float, float] | None
     watertight: bool
 
 

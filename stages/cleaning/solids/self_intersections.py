@@ -33,7 +33,8 @@ from scanloom.stages.surface.edges import (
 )
 from scanloom.stages.surface.hole_filling import trace_border_loops
 from scanloom.stages.surface.mesh import Mesh, Triangles
-from scanloom.stages.surface.topology import find_pinched_vertices, is_degenerate
+from scanloom.stages.surface.raycasting import RaycastingSurface
+from scanloom.stages.surface.topology import compute_areas, find_pinched_vertices, is_degenerate
 from scanloom.stages.surface.tracked_mesh import TrackedMesh
 
 # Shorter edges, as a ratio of the surface's diagonal, count as intersections: programs that merge near
@@ -41,6 +42,8 @@ from scanloom.stages.surface.tracked_mesh import TrackedMesh
 _MIN_EDGE_RATIO = 1e-6
 # Maximum number of rounds of refilling, and maximum ratio of triangles that it cuts out.
 _MAX_ROUNDS, _MAX_UNSOUND_RATIO = 8, 0.1
+# Maximum ratio of the surface that may be lost.
+MAX_LOST_RATIO = 0.02
 # Minimum number of triangles of an open component that is left after cutting.
 _MIN_TRIANGLES = 12
 
@@ -103,11 +106,27 @@ def resolve_intersections(shell: Shell, edge_length: float, cell_size: float) ->
     """
     united = _unite_components(shell)
     refilled = _refill(united, edge_length)
+    if refilled is not None and refilled is not united:
+        # Cutting can separate the sides of a thin wall, which caps then close wrongly.
+        given = shell.select(shell.source >= 0).mesh
+        if measure_lost_ratio(given, refilled, edge_length) > MAX_LOST_RATIO:
+            refilled = None
     if refilled is None:
         return _rebuild(shell, cell_size), "rebuilt"
     if refilled is not united:
         return refilled, "refilled"
     return united, "none" if united is shell else "united"
+
+
+def measure_lost_ratio(given: Mesh, shell: Shell, distance: float) -> float:
+    """Measure the ratio of a surface's area that is outside of a solid, farther away than a distance."""
+    if len(shell.triangles) == 0:
+        return 1.0
+    centers = given.vertices[given.triangles].mean(axis=1)
+    far = RaycastingSurface(shell.mesh).find_closest_points(centers).distances > distance
+    far[far] = ~WindingNumbers(shell.mesh).is_inside(centers[far])
+    areas = compute_areas(given.vertices, given.triangles)
+    return float(areas[far].sum() / areas.sum())
 
 
 def _refill(shell: Shell, edge_length: float) -> Shell | None:
