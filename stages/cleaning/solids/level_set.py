@@ -71,7 +71,7 @@ _TETRAHEDRA = _make_tetrahedra()
 _CASES = _make_cases()
 
 
-class Region(Protocol):
+class SolidRegion(Protocol):
     """A region of space."""
 
     def is_inside(self, points: Vertices) -> Mask:
@@ -81,7 +81,7 @@ class Region(Protocol):
         """Return the boundary on segments from inside to outside, (k,) as ratios of their lengths."""
 
 
-def extract_boundary(region: Region, cells: Ids, size: float) -> Mesh:
+def extract_boundary(region: SolidRegion, cells: Ids, size: float) -> Mesh:
     """Extract the boundary of a region that does not reach the outside of some grid cells.
 
     Parameters

@@ -214,9 +214,9 @@ def test_a_wall_without_solid_is_refused():
         ("stanford-bunny.obj", 0),
         ("camelhead.off", 0),
         ("face.obj", 0),
-        ("pirate.obj", 0.01),
+        ("pirate.obj", 0.03),
         ("CesiumMilkTruck.glb", 0),
-        ("sceaux_mvs_scene_mesh.ply", 0.02),
+        ("sceaux_mvs_scene_mesh.ply", 0.2),
         ("textured_scans/can.glb", 2e-4),
         ("textured_scans/foot_polycam.glb", 0),
     ],
@@ -229,4 +229,4 @@ def test_real_meshes_become_solid(shared_data, tmp_path, file, wall):
     assert solid.solid_result.bound_m <= solid.solid_result.max_shape_m
     old = solid.vertex_source >= 0
     np.testing.assert_array_equal(solid.mesh.vertices[old], mesh.vertices[solid.vertex_source[old]])
-    assert old.mean() > 0.4
+    assert old.mean() > 0.4 or solid.solid_result.intersections == "rebuilt"
