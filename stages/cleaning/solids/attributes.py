@@ -19,6 +19,8 @@ from scanloom.stages.surface.vertex_normals import compute_vertex_normals
 
 # Name of the material of added surface.
 ADDED_MATERIAL = "added"
+# More added vertices take the colour of the nearest vertex: solving for smooth colours takes minutes then.
+_MAX_INTERPOLATED = 50_000
 # Texels along the sides of the image part of an added triangle: its corners' colours, and one more that makes
 # bilinear interpolation linear.
 _PART_TEXELS = 2
@@ -94,7 +96,12 @@ def _compute_colors(
         return values
     _set_unreachable(shell, values, known)
     (free,) = np.nonzero(~known)
-    if len(free):
+    if len(free) > _MAX_INTERPOLATED:
+        from scipy.spatial import cKDTree
+
+        _, nearest = cKDTree(shell.vertices[known]).query(shell.vertices[free])
+        values[free] = values[known][nearest]
+    elif len(free):
         values[free] = interpolate_values(shell.vertices, shell.triangles[~is_kept], free, values)
     return values.clip(0, 255)
 
