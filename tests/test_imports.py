@@ -36,6 +36,7 @@ TYPES_ONLY = {"typing_extensions"}
 OF_EXTRAS = {
     "pipeline/batch/dask_executor.py": {"distributed": "distributed", "dask_jobqueue": "dask-jobqueue"},
     "pipeline/batch/summary.py": {"pyarrow": "pyarrow"},
+    "stages/cleaning/solids/booleans.py": {"manifold3d": "manifold3d"},
     "stages/exporting/simulation/coacd_process.py": {"coacd": "coacd"},
     "stages/exporting/simulation/usd_physics.py": {"pxr": "usd-core"},
     "stages/exporting/usd.py": {"pxr": "usd-core"},

@@ -16,7 +16,7 @@ def clean(source: MeshFile, target: NewMesh, clean: CleanParams, out: Output) ->
 
     The result is an oriented manifold; colours are kept. Degenerate and duplicate triangles are removed, too.
     OUT may be IN. --repair also repairs needles, caps, folds and spikes as far as the surface provably stays
-    in place; other vertices are not moved.
+    in place; other vertices are not moved. --solid closes the surface for 3-D printing.
 
     Example: scanloom clean fused.ply clean.ply --repair
     """
@@ -26,14 +26,17 @@ def clean(source: MeshFile, target: NewMesh, clean: CleanParams, out: Output) ->
         cleaned = stages.clean(mesh, clean)
     write_mesh_file(target, cleaned.mesh, out)
     metrics = {"output": str(target), **cleaned.to_dict()}
-    with_table = cleaned.repair_result is not None and not out.as_json
-    out.result(metrics, _text(metrics) if with_table else None)
+    is_nested = cleaned.repair_result is not None or cleaned.solid_result is not None
+    out.result(metrics, _text(metrics) if is_nested and not out.as_json else None)
 
 
 def _text(metrics: dict[str, Any]) -> str:
-    """Return the metrics of a repaired mesh, with a table of the classes that have defects."""
+    """Return the metrics of a repaired or solid mesh, with a table of the classes that have defects."""
+    alone = {name: value for name, value in metrics.items() if name not in ("repair", "solid")}
+    alone |= {f"solid_{name}": value for name, value in metrics.get("solid", {}).items()}
+    if "repair" not in metrics:
+        return format_lines(alone)
     repaired = metrics["repair"]
-    alone = {name: value for name, value in metrics.items() if name != "repair"}
     alone |= {"repair_bound_m": repaired["bound_m"], "repair_max_shape_m": repaired["max_shape_m"]}
     columns = ("found", "repaired", "left", "rolled_back")
     rows = [["class", *(name.replace("_", " ") for name in columns)]]

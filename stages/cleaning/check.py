@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from scanloom.stages.cleaning.codes import CLEAN_CHECK_FAILED
 from scanloom.stages.cleaning.regularity import AngleLimits, find_irregular
+from scanloom.stages.cleaning.solids.orientation import find_inside_out
 from scanloom.stages.diagnostics.codes import USAGE_OPTIONS_CONFLICT, USAGE_VALUE_INVALID
 from scanloom.stages.diagnostics.diagnostic import Diagnostic
 from scanloom.stages.diagnostics.errors import UsageError
@@ -88,8 +89,10 @@ CLASSES: dict[str, tuple[ElementKind, Treatment, str]] = {
 }
 
 PROPERTIES = ("watertight", "closed", "manifold", "oriented", "outward", "one-piece")
+# Requirements of 3-D printers, as one word. No thin walls are required if their limit is given.
+PRINTABLE = "printable"
 # All values that `scanloom check --require` accepts.
-REQUIREMENTS = (*PROPERTIES, *(f"no-{name.replace('_', '-')}" for name in CLASSES))
+REQUIREMENTS = (*PROPERTIES, PRINTABLE, *(f"no-{name.replace('_', '-')}" for name in CLASSES))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -175,7 +178,7 @@ class CheckResult:
         triangle.
     thickness : (m,) thickness of the solid behind each triangle, metres; NaN where it is undefined.
     min_thickness : metres; triangles below this thickness are reported as thin.
-    inside_out_count : number of closed components whose triangles face inwards.
+    inside_out_count : number of closed components whose triangles face inwards, except around cavities.
     triangles : (m, 3) triangles of the mesh, with duplicate vertices replaced by the first one.
     """
 
@@ -212,9 +215,17 @@ class CheckResult:
         UsageError
             For an invalid requirement, see `validate_requirements`.
         """
-        wanted = list(requirements)
-        validate_requirements(wanted, self.min_thickness)
-        return [diagnostic for name in wanted if (diagnostic := self._diagnose(name))]
+        given = list(requirements)
+        validate_requirements(given, self.min_thickness)
+        wanted = []
+        for name in given:
+            wanted += self._list_printable() if name == PRINTABLE else [name]
+        return [diagnostic for name in dict.fromkeys(wanted) if (diagnostic := self._diagnose(name))]
+
+    def _list_printable(self) -> list[str]:
+        # "outward" includes "watertight", with the same message.
+        thin = ["no-thin-triangles"] if self.min_thickness > 0 else []
+        return ["outward", "no-intersecting-triangles", *thin]
 
     def to_dict(self) -> dict[str, Any]:
         """Return metrics for reports: topology, thickness and defects per class."""
@@ -377,7 +388,7 @@ def _compute_points(mesh: Mesh, kind: ElementKind, ids: Ids) -> Vertices:
 
 
 def _count_inside_out(mesh: Mesh) -> int:
-    """Count the closed components that enclose a negative volume."""
+    """Count the closed components that face inwards, except around cavities."""
     triangles = mesh.triangles[~has_repeated_vertex(mesh.triangles)]
     if len(triangles) == 0:
         return 0
@@ -388,7 +399,9 @@ def _count_inside_out(mesh: Mesh) -> int:
     # Relative to the centre, to avoid cancellation far from the origin.
     a, b, c = (mesh.vertices[triangles] - compute_bounding_box(mesh).mean(axis=0)).transpose(1, 0, 2)
     volumes = np.bincount(labels[triangles[:, 0]], np.einsum("ij,ij->i", a, np.cross(b, c)), len(is_open))
-    return int(np.count_nonzero(~is_open & (volumes < 0)))
+    signed = np.where(is_open, 0.0, volumes.astype(np.float64))
+    found = find_inside_out(Mesh(mesh.vertices, triangles), labels[triangles[:, 0]], signed)
+    return int(np.count_nonzero(found))
 
 
 def _measure_thickness(mesh: Mesh) -> NDArray[np.float64]:

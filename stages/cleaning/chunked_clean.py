@@ -77,7 +77,9 @@ def clean_chunked(
     UsageError
         For parameters that need the complete mesh in memory.
     """
-    unsupported = [name for name in ("repair", "fill_holes", "weld_distance") if getattr(params, name)]
+    unsupported = [
+        name for name in ("repair", "fill_holes", "weld_distance", "solid") if getattr(params, name)
+    ]
     if unsupported:
         raise UsageError(
             FUSE_TOO_LARGE,

@@ -4,8 +4,8 @@ The steps, in order:
 
 1. Stitch coincident borders, remove degenerate and duplicate triangles, orient neighbours consistently, and
    split non-manifold edges and vertices.
-2. Remove small islands. 3. Fill small holes, on request. 4. Remove unused vertices. 5. Repair irregular
-elements, on request.
+2. Remove small islands. 3. Fill small holes, on request. 4. Remove unused vertices. 5. Make the surface
+solid, on request. 6. Repair irregular elements, on request.
 
 A mesh that is already clean is returned unchanged.
 """
@@ -24,9 +24,12 @@ from scanloom.stages.cleaning.codes import CLEAN_NOTHING_LEFT
 from scanloom.stages.cleaning.degenerate_triangles import remove_degenerate
 from scanloom.stages.cleaning.manifold import make_manifold
 from scanloom.stages.cleaning.repair import RepairResult, repair
+from scanloom.stages.cleaning.solid import SolidResult, make_solid
+from scanloom.stages.cleaning.solids.booleans import require_manifold3d
 from scanloom.stages.cleaning.stitch import stitch, weld
 from scanloom.stages.diagnostics.codes import MACHINE_BUG, USAGE_OPTIONS_CONFLICT
-from scanloom.stages.diagnostics.diagnostic import DiagnosticLocation
+from scanloom.stages.diagnostics.collector import collecting
+from scanloom.stages.diagnostics.diagnostic import Diagnostic, DiagnosticLocation
 from scanloom.stages.diagnostics.errors import MeshError, StageError, UsageError
 from scanloom.stages.params import check_parameters, param, resolve
 from scanloom.stages.printing import format_by_fields, format_by_metrics, render_table
@@ -35,6 +38,7 @@ from scanloom.stages.surface.edges import Ids, build_edges, label_components
 from scanloom.stages.surface.hole_filling import fill_holes
 from scanloom.stages.surface.mesh import Mesh
 from scanloom.stages.surface.mesh_conversion import MeshLike, as_mesh
+from scanloom.stages.surface.texture import select_rows
 from scanloom.stages.surface.topology import compute_areas, is_duplicate, require_manifold, require_measurable
 from scanloom.stages.surface.tracked_mesh import TrackedMesh
 
@@ -73,6 +77,19 @@ class CleanParams:
         low=0,
         common=True,
     )
+    solid: bool = param(
+        False,
+        "Make the surface solid, for printing: close all borders (by the plane where the object stood, by "
+        "smooth caps elsewhere), turn it outwards, and remove self-intersections. Needs `scanloom[solid]`.",
+        common=True,
+    )
+    wall: float = param(
+        0.0,
+        "With solid: thickness of the wall made behind an open surface, such as a room, and of the base "
+        "below an object. 0: no walls, and an open surface is an error.",
+        unit="m",
+        low=0,
+    )
     stitch: bool = param(True, "Join borders at exactly equal positions, such as seams of textured files.")
     weld_distance: float = param(
         0.0,
@@ -97,19 +114,26 @@ class CleanParams:
     max_shape: float | None = param(
         None,
         "Maximum distance by which repairs may move the surface. Default: a twentieth of the "
-        "median edge length.",
+        "median edge length; with solid, half of it, where the surface intersects itself.",
         unit="m",
         low=0,
     )
 
     def __post_init__(self) -> None:
         check_parameters(self)
-        if self.max_shape is not None and not self.repair:
+        if self.max_shape is not None and not (self.repair or self.solid):
             raise UsageError(
                 USAGE_OPTIONS_CONFLICT,
-                "applies only to repairs",
+                "applies only to repairs and solids",
                 DiagnosticLocation(parameter="max_shape"),
-                remedy="give repair, too.",
+                remedy="give repair or solid, too.",
+            )
+        if self.wall > 0 and not self.solid:
+            raise UsageError(
+                USAGE_OPTIONS_CONFLICT,
+                "applies only to solids",
+                DiagnosticLocation(parameter="wall"),
+                remedy="give solid, too.",
             )
 
 
@@ -151,13 +175,15 @@ class CleaningResult:
     Attributes
     ----------
     mesh : oriented manifold, possibly with borders.
-    vertex_source : (n,) input vertex of each vertex.
+    vertex_source : (n,) input vertex of each vertex; -1 for vertices that `solid` added.
     triangle_source : (m,) input triangle of each triangle, or the triangle that contains it; -1 in filled
-        holes.
+        holes, and for surface that `solid` added.
     changes : counts of the changes.
     min_island_area : m², the limit that was applied.
     repair_result : result of the repairs, None without repairs. Its indices refer to the mesh before the
         repairs.
+    solid_result : what was done to make the surface solid, None if not requested.
+    diagnostics : requirements on the solid that were not met.
     """
 
     mesh: Mesh
@@ -166,6 +192,8 @@ class CleaningResult:
     changes: CleaningCounts
     min_island_area: float
     repair_result: RepairResult | None = None
+    solid_result: SolidResult | None = None
+    diagnostics: tuple[Diagnostic, ...] = ()
 
     __repr__ = format_by_metrics
     _repr_html_ = render_table
@@ -178,6 +206,8 @@ class CleaningResult:
             "min_island_area_m2": self.min_island_area,
             **asdict(self.changes),
         }
+        if self.solid_result is not None:
+            metrics["solid"] = self.solid_result.to_dict()
         return metrics if self.repair_result is None else metrics | {"repair": self.repair_result.to_dict()}
 
 
@@ -211,11 +241,17 @@ def clean(
     StageError
         If the result is not an oriented manifold, which would be a bug.
     """
-    params = resolve(CleanParams, params, changes)
-    mesh = as_mesh(mesh)
+    with collecting() as diagnostics:
+        cleaned = _clean(as_mesh(mesh), resolve(CleanParams, params, changes), progress)
+    return replace(cleaned, diagnostics=tuple(diagnostics))
+
+
+def _clean(mesh: Mesh, params: CleanParams, progress: Progress) -> CleaningResult:
     require_measurable(mesh, "mesh")
+    if params.solid:
+        require_manifold3d()
     counts = {field.name: 0 for field in fields(CleaningCounts)}
-    steps = _STEP_COUNT + params.repair
+    steps = _STEP_COUNT + params.solid + params.repair
     progress(0, steps)
     traced = TrackedMesh.start(mesh)
     if params.weld_distance > 0:
@@ -245,10 +281,25 @@ def clean(
     cleaned = CleaningResult(
         traced.mesh, traced.vertex_source, traced.triangle_source, CleaningCounts(**counts), min_area
     )
+    if params.solid:
+        cleaned = _make_solid(cleaned, params)
+        progress(_STEP_COUNT + 1, steps)
     if params.repair:
-        cleaned = _apply_repairs(cleaned, params, lambda: progress(_STEP_COUNT, steps))
+        cleaned = _apply_repairs(cleaned, params, lambda: progress(steps - 1, steps))
         progress(steps, steps)
     return cleaned
+
+
+def _make_solid(cleaned: CleaningResult, params: CleanParams) -> CleaningResult:
+    """Make the cleaned mesh solid."""
+    solid = make_solid(cleaned.mesh, params.wall, params.max_shape)
+    return replace(
+        cleaned,
+        mesh=solid.mesh,
+        vertex_source=select_rows(cleaned.vertex_source, solid.vertex_source, -1),
+        triangle_source=select_rows(cleaned.triangle_source, solid.triangle_source, -1),
+        solid_result=solid.result,
+    )
 
 
 def _apply_repairs(

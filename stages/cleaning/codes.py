@@ -35,3 +35,27 @@ a larger value allows more repairs.
         "(0.12, -0.4, 1.01) m."
     ),
 )
+CLEAN_NOT_SOLID = Code(
+    "clean.not-solid",
+    "Surfaces that cannot become solid",
+    """
+`clean.solid` closes the surface of an object. A wall, a room or a single view encloses no volume, or is seen
+from inside. Set `clean.wall` to make a wall of this thickness behind such a surface.
+""",
+    (
+        "mesh: 1 connected components are open sheets that enclose no volume, one at (0.12, -0.4, 1.01) m; "
+        "set clean.wall to the thickness in metres of the wall behind them."
+    ),
+)
+CLEAN_SOLID_INCOMPLETE = Code(
+    "clean.solid-incomplete",
+    "Solids that still intersect themselves",
+    """
+`clean.solid` refills or rebuilds surface that intersects itself. The message contains the location of a
+triangle that still intersects or touches others after that, or the part of the surface that is missing.
+""",
+    (
+        "the solid still intersects or touches itself at 2 triangles, the first at (0.12, -0.4, 1.01) m; set "
+        "clean.max_shape to another distance."
+    ),
+)

@@ -87,3 +87,15 @@ the mesh itself. Allow more excess with `simulation.max_excess`.
 """,
     "model: the collision geometry (48,210 bytes) is larger than the visual mesh (21,004 bytes).",
 )
+EXPORT_NOT_SOLID = Code(
+    "export.not-solid",
+    "Meshes that cannot be prepared for printing",
+    """
+`export.hollow`, `export.plate` and `export.bed` need a closed surface without self-intersections. Run
+`scanloom clean IN OUT --solid` first.
+""",
+    (
+        "chair.ply: it is not solid: it has edges with only one triangle: 96, the first at "
+        "(0.12, -0.4, 1.01) m; run `scanloom clean --solid` first."
+    ),
+)

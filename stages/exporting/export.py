@@ -8,13 +8,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from scanloom.stages.cleaning.check import check
-from scanloom.stages.diagnostics.codes import USAGE_OPTIONS_CONFLICT
+from scanloom.stages.cleaning.check import PRINTABLE, check
+from scanloom.stages.cleaning.solids.booleans import require_manifold3d
+from scanloom.stages.diagnostics.codes import USAGE_OPTIONS_CONFLICT, USAGE_VALUE_INVALID
 from scanloom.stages.diagnostics.collector import collecting, emit
-from scanloom.stages.diagnostics.diagnostic import Diagnostic
+from scanloom.stages.diagnostics.diagnostic import Diagnostic, DiagnosticLocation
 from scanloom.stages.diagnostics.errors import UsageError
 from scanloom.stages.exporting.codes import EXPORT_LEFT_OUT, EXPORT_UP_UNKNOWN
 from scanloom.stages.exporting.image_conversion import IMAGE_FORMATS, convert_images
+from scanloom.stages.exporting.print_preparation import prepare_print
+from scanloom.stages.exporting.threemf import write_3mf
 from scanloom.stages.exporting.usd import USD_SUFFIXES as USD
 from scanloom.stages.exporting.usd import require_usd, write_usd
 from scanloom.stages.params import check_parameters as check_params
@@ -36,7 +39,8 @@ if TYPE_CHECKING:
 # Part of the cache key. Increase it when the same mesh and parameters produce a different file.
 RESULT_VERSION = 2
 
-EXPORT_SUFFIXES = (*MESH_EXTENSIONS, *USD)
+PRINT_SUFFIX = ".3mf"
+EXPORT_SUFFIXES = (*MESH_EXTENSIONS, *USD, PRINT_SUFFIX)
 GLTF_SUFFIXES = (".glb", ".gltf")
 # Formats with a fixed unit (metres) and a stated up axis.
 Y_UP_METRE_SUFFIXES = (*GLTF_SUFFIXES, *USD)
@@ -108,6 +112,25 @@ class ExportParams:
     image_size: int = param(
         16384, "Maximum longer side of texture images; larger ones are downsampled.", unit="pixels", low=16
     )
+    hollow: float = param(
+        0.0,
+        "Hollow a solid, leaving a wall of this thickness. 0: not hollow.",
+        unit="m",
+        low=0,
+    )
+    drain: float = param(
+        0.0,
+        "With hollow: diameter of the drain hole below each cavity. 0: none.",
+        unit="m",
+        low=0,
+    )
+    plate: float = param(0.0, "Put a solid on a base plate of this thickness. 0: none.", unit="m", low=0)
+    bed: tuple[float, float, float] | None = param(
+        None,
+        "Size of the print bed; a larger solid is split into parts that fit, each an object of a 3MF or OBJ "
+        "file.",
+        unit="m",
+    )
     watertight: bool = param(
         False,
         "Report defects that prevent 3-D printing: holes, inverted orientation, intersecting triangles.",
@@ -117,6 +140,24 @@ class ExportParams:
         check_params(self)
         if self.up is not None:
             parse_up_direction(self.up)
+        if self.bed is not None and min(self.bed) <= 0:
+            raise UsageError(
+                USAGE_VALUE_INVALID,
+                "three positive sizes are expected.",
+                DiagnosticLocation(parameter="bed"),
+            )
+        if self.drain > 0 and self.hollow == 0:
+            raise UsageError(
+                USAGE_OPTIONS_CONFLICT,
+                "applies only to hollow solids",
+                DiagnosticLocation(parameter="drain"),
+                remedy="give hollow, too.",
+            )
+
+    @property
+    def is_prepared(self) -> bool:
+        """True if the mesh is prepared for printing."""
+        return self.hollow > 0 or self.plate > 0 or self.bed is not None
 
 
 @dataclass(frozen=True, eq=False)
@@ -194,12 +235,14 @@ def export(
 
 def _write_export(mesh: MeshLike, path: Path, params: ExportParams) -> ExportResult:
     require_supported_params(path, params)
+    if path.suffix.lower() == PRINT_SUFFIX:
+        params = replace(params, axes="z-up", unit="mm")
     given = set_up_direction(as_mesh(mesh), params.up)
     written = convert_images(given, params.images, params.quality, params.image_size)
     suffix = path.suffix.lower()
     if suffix not in Y_UP_METRE_SUFFIXES:
         written = _transform_mesh(written, params)
-        if left_out := list_unsupported_data(suffix, given):
+        if suffix != PRINT_SUFFIX and (left_out := list_unsupported_data(suffix, given)):
             emit(
                 EXPORT_LEFT_OUT.warning(
                     "{suffix} stores geometry only: the {left_out} are left out",
@@ -219,14 +262,16 @@ def _write_export(mesh: MeshLike, path: Path, params: ExportParams) -> ExportRes
         )
     elif suffix in USD:
         write_usd(path, written)
+    elif suffix == PRINT_SUFFIX:
+        write_3mf(path, written)
     else:
         write_mesh(path, written)
     if params.watertight:
-        _report_unprintable(given)
+        emit(*check(written if params.is_prepared else given).find_unmet([PRINTABLE]))
     is_compressed = suffix in GLTF_SUFFIXES and params.compress != "none" and len(given.triangles) > 0
     return ExportResult(
         file=path,
-        triangles=len(given.triangles),
+        triangles=len(written.triangles),
         bytes=path.stat().st_size,
         up=given.up,
         position_error=_compute_position_error(given, params.position_bits) if is_compressed else 0.0,
@@ -269,14 +314,25 @@ def require_supported_params(path: Path, params: ExportParams) -> None:
             remedy="write .glb.",
             where=path,
         )
-    if suffix in Y_UP_METRE_SUFFIXES and (params.unit != "m" or params.on_floor):
+    if suffix in Y_UP_METRE_SUFFIXES and (params.unit != "m" or params.on_floor or params.is_prepared):
         raise UsageError(
             USAGE_OPTIONS_CONFLICT,
-            "unit and on_floor do not apply to {suffix}, which is always y-up and in metres",
-            remedy="write .stl or .obj.",
+            "unit, on_floor, hollow, plate and bed do not apply to {suffix}, which is always y-up and in "
+            "metres",
+            remedy="write .3mf, .stl or .obj.",
             where=path,
             suffix=suffix,
         )
+    if params.bed is not None and suffix not in (PRINT_SUFFIX, ".obj"):
+        raise UsageError(
+            USAGE_OPTIONS_CONFLICT,
+            "bed does not apply to {suffix}, which holds one object",
+            remedy="write .3mf or .obj.",
+            where=path,
+            suffix=suffix,
+        )
+    if params.is_prepared:
+        require_manifold3d()
     if suffix in USD:
         require_usd()
 
@@ -299,6 +355,8 @@ def _transform_mesh(mesh: Mesh, params: ExportParams) -> Mesh:
         else:
             up = np.array(mesh.up)
             mesh = rotate_mesh(mesh, rotate_to_y(up) if params.axes == "y-up" else rotate_to_z(up))
+    if params.is_prepared:
+        mesh = prepare_print(mesh, wall=params.hollow, drain=params.drain, plate=params.plate, bed=params.bed)
     vertices = mesh.vertices
     if params.on_floor and len(vertices):
         height = 1 if params.axes == "y-up" else 2
@@ -317,13 +375,4 @@ def rotate_mesh(mesh: Mesh, turn: np.ndarray) -> Mesh:
         normals=None if mesh.normals is None else mesh.normals @ turn.T,
         corner_normals=None if mesh.corner_normals is None else mesh.corner_normals @ turn.T,
         up=(x, y, z),
-    )
-
-
-def _report_unprintable(mesh: Mesh) -> None:
-    """Emit the diagnostics that prevent 3-D printing: not watertight, inside out, self-intersecting."""
-    found = check(mesh)
-    emit(
-        *(found.find_unmet(["watertight"]) or found.find_unmet(["outward"])),
-        *found.find_unmet(["no-intersecting-triangles"]),
     )

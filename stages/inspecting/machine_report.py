@@ -23,6 +23,7 @@ _EXTRAS = {
     "dask": "distributed",
     "network": "onnxruntime",
     "plot": "matplotlib",
+    "solid": "manifold3d",
     "usd": "usd-core",
 }
 

@@ -88,6 +88,8 @@ class CleanKeywords(TypedDict, total=False):
     min_island_area: float | None
     keep_largest: bool
     fill_holes: float
+    solid: bool
+    wall: float
     stitch: bool
     weld_distance: float
     repair: bool
@@ -172,6 +174,10 @@ class ExportKeywords(TypedDict, total=False):
     images: str
     quality: int
     image_size: int
+    hollow: float
+    drain: float
+    plate: float
+    bed: tuple[float, float, float] | None
     watertight: bool
 
 

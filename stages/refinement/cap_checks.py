@@ -8,8 +8,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from scanloom.stages.refinement.cap_remeshing import Floats, compute_normals
 from scanloom.stages.refinement.cap_shaping import Caps
+from scanloom.stages.surface.cap_remeshing import Floats, compute_normals
 from scanloom.stages.surface.edges import Edges, Ids, build_edges, is_known_key
 from scanloom.stages.surface.mesh import Mesh
 from scanloom.stages.surface.topology import is_degenerate

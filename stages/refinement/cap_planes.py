@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from scanloom.stages.refinement.cap_remeshing import Floats
+from scanloom.stages.surface.cap_remeshing import Floats
 from scanloom.stages.surface.edges import Ids
 
 # Minimum part of the rim vertices that `refine` has put on the planes of the cap.

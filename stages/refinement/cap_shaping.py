@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from scanloom.stages.refinement.cap_fairing import fair
 from scanloom.stages.refinement.cap_planes import DividedCap, Planes, divide_cap, keep_whole
-from scanloom.stages.refinement.cap_remeshing import CapMesh, Floats, remesh_caps
+from scanloom.stages.surface.cap_fairing import fair
+from scanloom.stages.surface.cap_remeshing import CapMesh, Floats, remesh_caps
 from scanloom.stages.surface.edges import Ids, build_edges, is_known_key, make_edge_keys
 from scanloom.stages.surface.hole_filling import LoopCap
 from scanloom.stages.surface.loop_triangulation import triangulate_loops

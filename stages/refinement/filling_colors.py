@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 from scanloom.stages import _kernels
 from scanloom.stages.frames.projection import project
 from scanloom.stages.progress import ignore_progress
-from scanloom.stages.refinement.cap_fairing import interpolate_values
 from scanloom.stages.scans.model.scan import Frame, to_pinhole
+from scanloom.stages.surface.cap_fairing import interpolate_values
 from scanloom.stages.surface.edges import Ids, label_components
 from scanloom.stages.surface.mesh import Colors, Mesh, Triangles
 from scanloom.stages.surface.vertex_normals import compute_vertex_normals

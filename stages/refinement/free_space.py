@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 from scanloom.stages.frames.posed_depth import PosedDepth
 from scanloom.stages.frames.projection import project
 from scanloom.stages.fusion.scene_statistics import DepthNoise
-from scanloom.stages.refinement.cap_remeshing import Floats
 from scanloom.stages.scans.model.scan import DepthImage
+from scanloom.stages.surface.cap_remeshing import Floats
 
 # A measurement is clearly behind a point if the distance exceeds this many standard deviations.
 _MIN_DEVIATIONS = 3.0

@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 from scanloom.stages.fusion.scene_statistics import DepthNoise
 from scanloom.stages.refinement.cap_checks import find_contacts, find_folded, sample_caps
 from scanloom.stages.refinement.cap_planes import fit_planes
-from scanloom.stages.refinement.cap_remeshing import Floats
 from scanloom.stages.refinement.cap_shaping import Caps, select_surroundings, shape_caps
 from scanloom.stages.refinement.free_space import FreeSpaceTest
+from scanloom.stages.surface.cap_remeshing import Floats
 from scanloom.stages.surface.edges import build_edges
 from scanloom.stages.surface.hole_filling import find_caps
 from scanloom.stages.surface.mesh import Mesh

@@ -36,8 +36,8 @@ MACHINE_EXTRA_MISSING = Code(
     "Missing optional library",
     """
 Some formats and plots need optional libraries: `pip install "scanloom[clouds]"` for LAS, LAZ and E57,
-`"scanloom[usd]"` for USD, `"scanloom[sim]"` for simulation models, `"scanloom[plot]"` for plots,
-`"scanloom[sfm]"` for photos without poses.
+`"scanloom[usd]"` for USD, `"scanloom[sim]"` for simulation models, `"scanloom[solid]"` for solids,
+`"scanloom[plot]"` for plots, `"scanloom[sfm]"` for photos without poses.
 """,
     "hall.laz: reading .laz requires laspy and lazrs; install scanloom[clouds].",
 )

@@ -73,7 +73,7 @@ def find_caps(
     max_length : maximum length of the border loop in metres.
     max_extent : exclusive limit of the bounding-box diagonal of the border loop in metres.
     """
-    loops, rim_triangles = _trace_border_loops(mesh, edges)
+    loops, rim_triangles = trace_border_loops(mesh, edges)
     kept = [row for row in range(len(loops)) if len(loops[row]) <= _MAX_EDGES]
     if kept:
         is_small = _mask_holes(
@@ -93,7 +93,7 @@ def _find_border_chords(edges: Edges) -> Ids:
     return make_edge_keys(first[between], second[between])
 
 
-def _trace_border_loops(mesh: Mesh, edges: Edges) -> tuple[list[Ids], list[Ids]]:
+def trace_border_loops(mesh: Mesh, edges: Edges) -> tuple[list[Ids], list[Ids]]:
     """Return the vertices of the border loops, and the triangles along each.
 
     A loop has the direction of a cap, opposite to the border halfedges.

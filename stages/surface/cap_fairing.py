@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from scanloom.stages.refinement.cap_remeshing import Floats, compute_cotangents, compute_normals
+from scanloom.stages.surface.cap_remeshing import Floats, compute_cotangents, compute_normals
 from scanloom.stages.surface.edges import Ids, step_to_next_corner
 
 # Limit of a cotangent, for needles: an angle of 1°.

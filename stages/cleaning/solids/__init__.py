@@ -1,0 +1,1 @@
+"""Steps of making a surface solid: closing borders, removing intersections, transferring colours."""
