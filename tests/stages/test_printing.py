@@ -56,6 +56,11 @@ def export_mesh(mesh: Mesh) -> stages.ExportResult:
         return stages.export(mesh, Path(folder) / "a.glb", stages.preset("web"))
 
 
+def simulate(mesh: Mesh) -> stages.SimulationResult:
+    with TemporaryDirectory() as folder:
+        return stages.export_simulation(mesh, Path(folder) / "model")
+
+
 def build_registration() -> Registration:
     """Build a result of register; a real registration needs frames with more structure than a wall."""
     edge = {"source": 0, "target": 1, "fitness": 0.8, "rmse_m": 0.002, "is_loop": False, "is_used": True}
@@ -169,6 +174,7 @@ def make_all_results():
         stages.Box((0, 0, 0), (1, 1, 1), lock=True),
         stages.viewpoints(mesh)[0],
         export_mesh(mesh),
+        simulate(ball(1)),
         stages.align(mesh, mesh)[1],
         stages.deviations(mesh, mesh),
         stages.changes(mesh, mesh),
