@@ -34,6 +34,7 @@ from scanloom.stages.scans.layouts.plain_views import find_photo_folder
 from scanloom.stages.scans.layouts.shared.layout import Layout
 from scanloom.stages.scans.layouts.shared.predicted_maps import (
     choose_min_confidence,
+    create_shape_error,
     read_levels,
     read_map,
     to_confidence_levels,
@@ -205,14 +206,14 @@ def _read_archive(path: Path) -> _Prediction:
     arrays = list_arrays(path)
     depth = _select(arrays, _DEPTH_NAMES)
     if depth is None:
-        raise _create_shape_error(path, "depth", "missing", "(n, height, width)")
+        raise create_shape_error(path, "depth", "missing", "(n, height, width)")
     shape = _get_view_shape(depth.shape)
     if shape is None or not 0 < shape[1] * shape[2] <= MAX_PIXELS or depth.kind not in "fiu":
-        raise _create_shape_error(path, depth.entry, str(depth.shape), "(n, height, width)")
+        raise create_shape_error(path, depth.entry, str(depth.shape), "(n, height, width)")
     count, height, width = shape
     confidence, images = _select(arrays, _CONFIDENCE_NAMES), _select(arrays, _IMAGE_NAMES)
     if confidence is not None and _get_view_shape(confidence.shape) != shape:
-        raise _create_shape_error(
+        raise create_shape_error(
             path, confidence.entry, str(confidence.shape), f"({count}, {height}, {width})"
         )
     names = [f"{place:06d}" for place in range(count)]
@@ -243,17 +244,6 @@ def _get_view_shape(shape: tuple[int, ...]) -> tuple[int, int, int] | None:
     return (shape[0], shape[1], shape[2]) if len(shape) == 3 and shape[0] > 0 else None
 
 
-def _create_shape_error(path: Path, name: str, found: str, expected: str) -> InputError:
-    return InputError(
-        SCAN_PREDICTION_INVALID,
-        "the array {array} is {found}; {expected} is expected.",
-        path,
-        array=name.removesuffix(".npy"),
-        found=found,
-        expected=expected,
-    )
-
-
 def _pack(
     array: ArchivedArray, names: Sequence[str], kind: str, load: Callable[[int], NDArray[Any]]
 ) -> list[PackedImage]:
@@ -282,7 +272,7 @@ def _read_image(array: ArchivedArray, shape: tuple[int, int, int], place: int) -
                 image = np.rint(np.nan_to_num(image).clip(0, 1) * 255)
             image = image.astype(np.int64).clip(0, 255)
             return np.ascontiguousarray(image, np.uint8)
-    raise _create_shape_error(array.path, array.entry, str(array.shape), f"({count}, {height}, {width}, 3)")
+    raise create_shape_error(array.path, array.entry, str(array.shape), f"({count}, {height}, {width}, 3)")
 
 
 def _read_matrices(
@@ -292,11 +282,11 @@ def _read_matrices(
     stored, focal = _select(arrays, _INTRINSICS_NAMES), _select(arrays, _FOCAL_NAMES)
     if stored is not None:
         if stored.shape[-2:] != (3, 3) or stored.shape not in ((3, 3), (count, 3, 3), (1, count, 3, 3)):
-            raise _create_shape_error(path, stored.entry, str(stored.shape), f"({count}, 3, 3)")
+            raise create_shape_error(path, stored.entry, str(stored.shape), f"({count}, 3, 3)")
         values = np.asarray(stored.read(), np.float64).reshape(-1, 3, 3)
         return list(np.broadcast_to(values, (count, 3, 3)))
     if focal is None or int(np.prod(focal.shape)) not in (1, count):
-        raise _create_shape_error(path, "intrinsic", "missing", f"({count}, 3, 3)")
+        raise create_shape_error(path, "intrinsic", "missing", f"({count}, 3, 3)")
     lengths = np.broadcast_to(np.asarray(focal.read(), np.float64).ravel(), count)
     return [np.array([[f, 0, size[0] / 2], [0, f, size[1] / 2], [0, 0, 1]]) for f in lengths.tolist()]
 
@@ -306,7 +296,7 @@ def _read_poses(stored: ArchivedArray | None, count: int, *, is_inverse: bool) -
         return [None] * count
     rows = stored.shape[-2] if len(stored.shape) >= 2 else 0
     if rows not in (3, 4) or stored.shape not in ((count, rows, 4), (1, count, rows, 4)):
-        raise _create_shape_error(stored.path, stored.entry, str(stored.shape), f"({count}, 3, 4)")
+        raise create_shape_error(stored.path, stored.entry, str(stored.shape), f"({count}, 3, 4)")
     matrices = np.asarray(stored.read(), np.float64).reshape(count, rows, 4)
     poses = [check_rigid_pose(matrix, stored.path, f"view {place}") for place, matrix in enumerate(matrices)]
     return [invert_pose(pose) if is_inverse and pose is not None else pose for pose in poses]
@@ -323,10 +313,10 @@ def _read_view_files(folder: Path) -> _Prediction:
         )
     shape = _get_view_shape((1, *read_array(depths[names[0]], "the depth map").shape))
     if shape is None or not 0 < shape[1] * shape[2] <= MAX_PIXELS:
-        raise _create_shape_error(depths[names[0]], "depth", "no map", "(height, width)")
+        raise create_shape_error(depths[names[0]], "depth", "no map", "(height, width)")
     tables = [read_small_arrays(cameras[name]) for name in names]
     if not all("pose" in table and "intrinsics" in table for table in tables):
-        raise _create_shape_error(folder / "camera", "pose or intrinsics", "missing", "(4, 4) or (3, 3)")
+        raise create_shape_error(folder / "camera", "pose or intrinsics", "missing", "(4, 4) or (3, 3)")
     confidences = {path.stem: path for path in _list(folder / "conf", ".npy")}
     colors = (
         {path.stem: path for path in list_images(folder / "color")} if (folder / "color").is_dir() else {}
@@ -361,7 +351,7 @@ def _parse_matrix(value: object, path: Path) -> NDArray[np.float64]:
     except (TypeError, ValueError):
         matrix = np.zeros(0)
     if matrix.shape != (3, 3):
-        raise _create_shape_error(path, "intrinsics", str(matrix.shape), "(3, 3)")
+        raise create_shape_error(path, "intrinsics", str(matrix.shape), "(3, 3)")
     return matrix
 
 

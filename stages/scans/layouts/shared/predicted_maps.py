@@ -23,6 +23,18 @@ _MIN_CONFIDENCE_RATIO = 1 / 3
 _SAMPLED_VIEWS = 16
 
 
+def create_shape_error(path: Path, name: str, found: str, expected: str) -> InputError:
+    """Create the error for an array of another shape, or a missing one."""
+    return InputError(
+        SCAN_PREDICTION_INVALID,
+        "the array {array} is {found}; {expected} is expected.",
+        path,
+        array=name.removesuffix(".npy"),
+        found=found,
+        expected=expected,
+    )
+
+
 def read_map(path: Path, shape: tuple[int, int]) -> NDArray[np.float32]:
     """Read a map (h, w) of a `.npy` file.
 
@@ -33,14 +45,7 @@ def read_map(path: Path, shape: tuple[int, int]) -> NDArray[np.float32]:
     """
     array = read_array(path, "the map")
     if array.shape not in (shape, (*shape, 1), (1, *shape)) or array.dtype.kind not in "fiu":
-        raise InputError(
-            SCAN_PREDICTION_INVALID,
-            "the array {array} is {found}; {expected} is expected.",
-            path,
-            array=path.stem,
-            found=str(array.shape),
-            expected=str(shape),
-        )
+        raise create_shape_error(path, path.stem, str(array.shape), str(shape))
     # Values beyond single precision become infinite, which is missing depth.
     with np.errstate(over="ignore"):
         return np.array(array.reshape(shape), np.float32)
