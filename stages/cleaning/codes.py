@@ -40,10 +40,11 @@ CLEAN_NOT_SOLID = Code(
     "Surfaces that cannot become solid",
     """
 `clean.solid` closes the surface of an object. A wall, a room or a single view encloses no volume, or is seen
-from inside. Set `clean.wall` to make a wall of this thickness behind such a surface.
+from inside. Set `clean.wall` to make a wall of this thickness behind such a surface. If most of the mesh
+encloses a volume, the message also states the area up to which `clean.min_island_area` must remove islands.
 """,
     (
-        "mesh: 1 connected components are open sheets that enclose no volume, one at (0.12, -0.4, 1.01) m; "
+        "mesh: open sheets, which enclose no volume, are 100.0% of the surface, one at (0.12, -0.4, 1.01) m; "
         "set clean.wall to the thickness in metres of the wall behind them."
     ),
 )

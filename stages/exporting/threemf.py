@@ -42,7 +42,8 @@ class _Properties(NamedTuple):
 def write_3mf(path: Path, mesh: Mesh) -> None:
     """Write a mesh, in millimetres, as a 3MF file.
 
-    Vertices at equal positions are joined, because a 3MF object must be closed.
+    Vertices at equal positions are joined, because a 3MF object must be closed. Triangles with two corners
+    at one position are left out, because the format does not allow them.
 
     Raises
     ------
@@ -103,9 +104,13 @@ def _format_model(mesh: Mesh, images: tuple[Image, ...], names: list[str]) -> It
     yield from resources
     part_ids = np.zeros(len(mesh.triangles), np.int64) if mesh.part_ids is None else mesh.part_ids
     first_object = len(resources) + 1
-    parts = np.unique(part_ids).tolist()
+    points, triangles = _join_equal_positions(mesh)
+    a, b, c = triangles.T
+    is_allowed = (a != b) & (b != c) & (c != a)
+    parts = np.unique(part_ids[is_allowed]).tolist()
     for row, part in enumerate(parts):
-        yield from _format_object(mesh, np.flatnonzero(part_ids == part), properties, first_object + row)
+        rows = np.flatnonzero(is_allowed & (part_ids == part))
+        yield from _format_object(points, triangles, rows, properties, first_object + row)
     items = "".join(f'<item objectid="{first_object + row}"/>' for row in range(len(parts)))
     yield f"</resources><build>{items}</build></model>"
 
@@ -167,13 +172,19 @@ def _format_uvs(uvs: NDArray[np.float64], number: int, texture: int) -> str:
     return f'<m:texture2dgroup id="{number}" texid="{texture}">{rows}</m:texture2dgroup>'
 
 
-def _format_object(mesh: Mesh, rows: Ids, properties: _Properties, number: int) -> Iterator[str]:
-    # Nine digits hold single precision exactly.
-    places = mesh.vertices.astype(np.float32)
-    first = find_first_equal_rows(list(places.T))
-    used, index = np.unique(first[mesh.triangles[rows]], return_inverse=True)
+def _join_equal_positions(mesh: Mesh) -> tuple[NDArray[np.float32], Ids]:
+    """Return the vertices in single precision, and triangles that use one vertex per position."""
+    points = mesh.vertices.astype(np.float32)
+    return points, find_first_equal_rows(list(points.T))[mesh.triangles]
+
+
+def _format_object(
+    points: NDArray[np.float32], triangles: Ids, rows: Ids, properties: _Properties, number: int
+) -> Iterator[str]:
+    used, index = np.unique(triangles[rows], return_inverse=True)
     yield f'<object id="{number}" type="model"><mesh><vertices>'
-    yield "".join(f'<vertex x="{x:.9g}" y="{y:.9g}" z="{z:.9g}"/>' for x, y, z in places[used].tolist())
+    # Nine digits hold single precision exactly.
+    yield "".join(f'<vertex x="{x:.9g}" y="{y:.9g}" z="{z:.9g}"/>' for x, y, z in points[used].tolist())
     yield "</vertices><triangles>"
     groups, corners = properties.groups[rows].tolist(), properties.indices[rows].tolist()
     for (a, b, c), group, (p, q, r) in zip(index.reshape(-1, 3).tolist(), groups, corners, strict=True):

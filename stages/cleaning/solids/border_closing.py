@@ -27,6 +27,8 @@ _MAX_LOOP_EDGES = 300
 # Closed with caps, objects have 0.02 to 0.5; walls, rooms and single views have less than 0.005, or a
 # negative volume.
 _MIN_COMPACTNESS = 0.01
+# With a smaller ratio of the surface, sheets may be debris, and the message says how to remove them.
+_MAX_REMOVABLE_RATIO = 0.2
 # A border on which the object stood: nine tenths of its vertices are within this ratio of the object's height
 # above the lowest point, and at least this ratio of the object's cross-section area is inside of it.
 _MAX_RIM_HEIGHT_RATIO = 0.2
@@ -149,17 +151,21 @@ def _make_cone(rim: Vertices) -> tuple[Vertices, Triangles]:
 
 
 def _refuse_sheet(mesh: Mesh, sheets: NDArray[np.bool_], labels: Ids) -> None:
-    used = np.zeros(len(labels), bool)
-    used[mesh.triangles] = True
-    first = int(np.flatnonzero(sheets[labels] & used)[0])
+    component = labels[mesh.triangles[:, 0]]
+    areas = np.bincount(component, compute_areas(mesh.vertices, mesh.triangles), len(sheets))
+    first = int(mesh.triangles[np.flatnonzero(sheets[component])[0], 0])
     x, y, z = mesh.vertices[first].tolist()
+    ratio = float(areas[sheets].sum() / areas.sum())
+    remedy = "set clean.wall to the thickness in metres of the wall behind them"
+    if ratio < _MAX_REMOVABLE_RATIO:
+        remedy += f", or clean.min_island_area to more than {areas[sheets].max():.3g} m² to remove them"
     raise MeshError(
         CLEAN_NOT_SOLID,
-        "{count:,} connected components are open sheets that enclose no volume, one at ({x:.6g}, {y:.6g}, "
+        "open sheets, which enclose no volume, are {ratio:.1%} of the surface, one at ({x:.6g}, {y:.6g}, "
         "{z:.6g}) m",
         "mesh",
-        remedy="set clean.wall to the thickness in metres of the wall behind them.",
-        count=int(np.count_nonzero(np.bincount(labels[used & sheets[labels]]))),
+        remedy=f"{remedy}.",
+        ratio=ratio,
         x=x,
         y=y,
         z=z,

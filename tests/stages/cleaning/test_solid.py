@@ -108,13 +108,27 @@ def test_a_hole_is_continued_smoothly(tmp_path):
     require_solid(solid.mesh, tmp_path)
 
 
+def test_a_small_sheet_can_be_removed(tmp_path):
+    ball = trimesh.creation.icosphere(3)
+    cylinder = trimesh.creation.cylinder(
+        0.1, 0.2, transform=trimesh.transformations.translation_matrix([3, 0, 0])
+    )
+    is_side = np.abs(cylinder.face_normals[:, 2]) < 0.5
+    tube = trimesh.Trimesh(cylinder.vertices, cylinder.faces[is_side][:, ::-1])
+    both = as_mesh(trimesh.util.concatenate([ball, tube]))
+    with pytest.raises(MeshError, match=r"are 1\.0% of .*min_island_area to more than 0\.125 m²"):
+        clean(both, solid=True, min_island_area=0.0)
+    solid = clean(both, solid=True, min_island_area=0.126)
+    assert require_solid(solid.mesh, tmp_path) == pytest.approx(4.15, rel=0.02)
+
+
 def test_an_open_surface_needs_a_wall(tmp_path):
     grid = trimesh.creation.box((2, 2, 0.5)).subdivide().subdivide().subdivide()
     room = as_mesh(grid)
     # The inside of a box without lid.
     chosen = room.vertices[room.triangles].mean(axis=1)[:, 2] < 0.2499
     room = room.with_triangles(room.triangles[chosen][:, ::-1].copy(), chosen)
-    with pytest.raises(MeshError, match=r"open sheets .* set clean\.wall|open sheets .* set wall"):
+    with pytest.raises(MeshError, match=r"are 100\.0% of the surface.*set (clean\.)?wall"):
         clean(room, solid=True)
     solid = clean(room, solid=True, wall=0.1)
     assert solid.solid_result.closing.thickened_sheets == 1

@@ -61,6 +61,17 @@ def test_a_3mf_file_is_in_millimetres_with_z_up(tmp_path):
     np.testing.assert_allclose(read_3mf(tmp_path / "c.3mf")[0][0].volume, found.volume, rtol=1e-6)
 
 
+def test_triangles_with_two_equal_corners_are_left_out(tmp_path):
+    box = trimesh.creation.box((0.02, 0.05, 0.03))
+    vertices = np.vstack([box.vertices, box.vertices[:1]])
+    triangles = np.vstack([box.faces, [[0, 8, 1], [0, 8, 0]]])
+    parts = np.array([0] * 12 + [0, 1], np.int32)
+    export(Mesh(vertices, triangles.astype(np.int32), part_ids=parts, part_names=("box", "none")), tmp_path / "a.3mf", up="none")
+    (found,), _ = read_3mf(tmp_path / "a.3mf")
+    assert len(found.faces) == 12
+    assert found.is_volume
+
+
 def test_vertex_colours_are_a_colour_group(tmp_path):
     ball = make_ball()
     colors = np.where(ball.vertices[:, :1] < 0.3, (200, 30, 10), (10, 40, 220)).astype(np.uint8)
