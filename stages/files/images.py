@@ -39,6 +39,8 @@ _HEADER_BYTES = 1 << 19
 # Offset of the colour type in a PNG, and its values for grey + alpha and RGB + alpha.
 _PNG_COLOR_TYPE_OFFSET = 25
 _PNG_ALPHA_TYPES = (b"\x04", b"\x06")
+# Bit depth and colour type of RGB, palette, and RGB + alpha, with 8 bits.
+_PNG_COLOR_LAYOUTS = (b"\x08\x02", b"\x08\x03", b"\x08\x06")
 # Formats of photos with EXIF metadata, as Pillow names them.
 _EXIF_FORMATS = ("JPEG", "PNG", "TIFF", "WEBP")
 
@@ -196,6 +198,21 @@ def has_alpha(path: Path) -> bool:
     except OSError:
         return False  # reported when the image is read
     return start.startswith(PNG_MAGIC) and start[_PNG_COLOR_TYPE_OFFSET:] in _PNG_ALPHA_TYPES
+
+
+def is_surely_color(path: Path) -> bool:
+    """Test if the header of a file is that of a colour image with 8 bits, in JPEG or PNG.
+
+    Other files may be depth or confidence maps.
+    """
+    try:
+        with open_input(path) as file:
+            start = file.read(_PNG_COLOR_TYPE_OFFSET + 1)
+    except OSError:
+        return False
+    if not start.startswith(PNG_MAGIC):
+        return detect_image_format(start) == ".jpg"
+    return start[_PNG_COLOR_TYPE_OFFSET - 1 :] in _PNG_COLOR_LAYOUTS
 
 
 def read_alpha(path: Path) -> NDArray[np.uint8]:

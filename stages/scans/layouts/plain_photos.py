@@ -15,7 +15,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from scanloom.stages.diagnostics.errors import InputError
-from scanloom.stages.files.images import read_exif_number, read_image_size
+from scanloom.stages.files.images import is_surely_color, read_exif_number, read_image_size
 from scanloom.stages.scans.advice import describe_streams
 from scanloom.stages.scans.calibration.camera_resolution import get_stated_camera
 from scanloom.stages.scans.calibration.discovery import list_trajectory_candidates
@@ -50,15 +50,22 @@ def _matches(folder: Path) -> str | None:
     ]
     if any(one.name not in _MASK_FOLDERS for one in others):
         return None
-    # Files of several formats may be colour and depth images.
-    if len({_SAME_FORMAT.get(file.suffix.lower(), file.suffix.lower()) for file in list_images(photos)}) > 1:
+    files = list_images(photos)
+    formats = {_SAME_FORMAT.get(file.suffix.lower(), file.suffix.lower()) for file in files}
+    if len(formats) > 1 and not _are_different_photos(files):
         return None
     if list_trajectory_candidates(folder) or list_trajectory_candidates(photos):
         return None
     if describe_streams(folder) is not None or describe_streams(photos) is not None:
         return None
     where = "the folder" if photos == folder else f"{photos.name}/"
-    return f"{len(list_images(photos))} photos in {where}, and nothing else"
+    return f"{len(files)} photos in {where}, and nothing else"
+
+
+def _are_different_photos(files: Sequence[Path]) -> bool:
+    """Test if files of several formats are photos; depth images or masks may be among them."""
+    stems = {file.stem for file in files}
+    return len(stems) == len(files) and all(is_surely_color(file) for file in files)
 
 
 def _find_photos(folder: Path) -> Path | None:

@@ -66,7 +66,11 @@ def test_triangles_with_two_equal_corners_are_left_out(tmp_path):
     vertices = np.vstack([box.vertices, box.vertices[:1]])
     triangles = np.vstack([box.faces, [[0, 8, 1], [0, 8, 0]]])
     parts = np.array([0] * 12 + [0, 1], np.int32)
-    export(Mesh(vertices, triangles.astype(np.int32), part_ids=parts, part_names=("box", "none")), tmp_path / "a.3mf", up="none")
+    export(
+        Mesh(vertices, triangles.astype(np.int32), part_ids=parts, part_names=("box", "none")),
+        tmp_path / "a.3mf",
+        up="none",
+    )
     (found,), _ = read_3mf(tmp_path / "a.3mf")
     assert len(found.faces) == 12
     assert found.is_volume

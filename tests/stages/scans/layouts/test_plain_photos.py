@@ -49,6 +49,17 @@ def test_photos_alone_are_a_scan_without_poses(tmp_path: Path, place: str) -> No
         read_scan(tmp_path)
 
 
+def test_photos_may_be_of_several_formats_if_all_are_in_color(tmp_path: Path) -> None:
+    write_photos(tmp_path)
+    Image.new("RGB", (36, 24)).save(tmp_path / "screenshot.png")
+    layout, reason = detect_layout(tmp_path)
+    assert (layout.name, reason) == ("photos", "4 photos in the folder, and nothing else")
+    assert len(read_scan(tmp_path, complete=False).frames) == 4
+    Image.new("I;16", (36, 24)).save(tmp_path / "depth.png")
+    with pytest.raises(InputError, match="unknown layout"):
+        detect_layout(tmp_path)
+
+
 def test_the_focal_length_comes_from_exif_or_from_the_user(tmp_path: Path) -> None:
     write_photos(tmp_path, focal_35mm=28)
     camera = read_scan(tmp_path, complete=False).frames[0].camera
