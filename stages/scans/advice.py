@@ -9,6 +9,7 @@ from pathlib import Path
 
 from scanloom.stages.scans.image_folders.image_files import (
     DEPTH_SUFFIXES,
+    MASK_FOLDERS,
     extract_numbers,
     list_images,
 )
@@ -137,7 +138,11 @@ def describe_streams(folder: Path) -> str | None:
     """
     folders = [one for one in sorted(folder.iterdir()) if one.is_dir() and not one.name.startswith(".")]
     counts = {one.name: len(list_images(one, DEPTH_SUFFIXES)) for one in folders}
-    streams = {name: count for name, count in counts.items() if count >= _MIN_STREAM_COUNT}
+    streams = {
+        name: count
+        for name, count in counts.items()
+        if count >= _MIN_STREAM_COUNT and name not in MASK_FOLDERS
+    }
     if len(streams) == 2 and len(set(streams.values())) == 1:
         a, b = streams
         return (

@@ -21,8 +21,9 @@ from scanloom.stages.scans.model.scan import SkippedFrame
 
 IMAGE_SUFFIXES = (".png", ".jpg", ".jpeg", ".ppm", ".pgm", ".bmp", ".tif", ".tiff", ".webp")
 DEPTH_SUFFIXES = (*IMAGE_SUFFIXES, ".npy", ".pfm", ".exr")
-# Folder names of colour and depth streams in data sets and exports.
+# Folder names of colour images, masks and depth images in data sets and exports.
 COLOR_FOLDERS = ("color", "rgb", "image", "images", "colors", "mono", "gray", "grey")
+MASK_FOLDERS = ("masks", "mask")
 DEPTH_FOLDERS = ("depth", "depths", "depth_images")
 _MAX_NAME_LENGTH = 255
 # Minimum ratio of matched frames on the smaller side. Fewer matches are coincidental equal numbers.

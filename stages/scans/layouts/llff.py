@@ -8,15 +8,13 @@ f in pixels. Downscaled photos (images_4/, images_8/) keep their rows. Lengths h
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from scanloom.stages.diagnostics.errors import InputError
-from scanloom.stages.files.codes import FILE_IMAGE_FORMAT
-from scanloom.stages.files.images import read_array, read_stored_image
+from scanloom.stages.files.images import read_array
 from scanloom.stages.scans.calibration import camera_files as calibration
 from scanloom.stages.scans.calibration.camera_resolution import get_stated_camera
 from scanloom.stages.scans.codes import (
@@ -26,10 +24,11 @@ from scanloom.stages.scans.codes import (
 )
 from scanloom.stages.scans.image_folders.image_files import extract_numbers, list_images
 from scanloom.stages.scans.layouts.shared.layout import Layout
+from scanloom.stages.scans.layouts.shared.photo_masks import find_photo_mask
 from scanloom.stages.scans.layouts.shared.posed_views import create_view_frame, to_metres
 from scanloom.stages.scans.model.poses import check_rigid_pose
 from scanloom.stages.scans.model.reading_params import ReadingParams
-from scanloom.stages.scans.model.scan import Camera, Frame, PackedImage, Pose, Scan, SkippedFrame
+from scanloom.stages.scans.model.scan import Camera, Frame, Pose, Scan, SkippedFrame
 from scanloom.stages.scans.trajectory import trajectory_formats as trajectories
 
 _POSES_FILE = "poses_bounds.npy"
@@ -37,9 +36,6 @@ _COLUMN_COUNT = 17
 _MAX_VIEW_COUNT = 1 << 20
 # The stored bounds are percentiles of the points, so the depth range is widened by this ratio.
 _RANGE_MARGIN_RATIO = 0.1
-_MASK_FOLDERS = ("masks", "mask")
-# Threshold of a mask pixel; masks saved as JPEG are grey where they were black.
-_MASK_THRESHOLD = 128
 
 
 def _matches(folder: Path) -> str | None:
@@ -78,7 +74,7 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
     for color, row, pose in zip(colors, rows, poses, strict=True):
         try:
             camera = _parse_camera(folder, options, row, path)
-            frame = create_view_frame(color.stem, camera, color, pose, mask=_find_mask(folder, color))
+            frame = create_view_frame(color.stem, camera, color, pose, mask=find_photo_mask(folder, color))
         except InputError as error:
             skipped.append(SkippedFrame(color.stem, error.diagnostic))
             continue
@@ -134,23 +130,6 @@ def _parse_depth_range(row: NDArray[np.float64], options: ReadingParams) -> tupl
         if 0 < near < far < np.inf
         else None
     )
-
-
-def _find_mask(folder: Path, color: Path) -> PackedImage | None:
-    """Return the mask of a photo, named like IMG_1.png or IMG_1_mask.JPG."""
-    places = [folder / name for name in _MASK_FOLDERS if (folder / name).is_dir()]
-    for stem in (color.stem, f"{color.stem}_mask", f"{color.stem}.mask", color.name):
-        for found in (path for place in places for path in place.glob("*") if path.stem == stem):
-            return PackedImage(found, "mask", partial(_read_mask, found))
-    return None
-
-
-def _read_mask(path: Path) -> NDArray[np.uint8]:
-    mask = read_stored_image(path)
-    if mask.dtype != np.uint8:
-        raise InputError(FILE_IMAGE_FORMAT, "an 8-bit mask is expected.", path)
-    grey = mask if mask.ndim == 2 else mask[:, :, :3].max(axis=2)
-    return np.asarray(np.where(grey >= _MASK_THRESHOLD, 255, 0), np.uint8)
 
 
 LAYOUT = Layout(

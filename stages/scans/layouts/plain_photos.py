@@ -1,7 +1,7 @@
 """Photos alone, without poses and depth.
 
     images/IMG_0001.jpg  …     or photos/, frames/ and so on, or in the scan folder itself
-    masks/IMG_0001.png         optional, see `scan.masks`
+    masks/IMG_0001.png         optional, or masks/IMG_0001_mask.png: 0 where the photo is not used
 
 Transparent pixels are masked. A folder with files that may hold poses does not match, so that poses
 are not ignored by accident.
@@ -20,16 +20,21 @@ from scanloom.stages.scans.advice import describe_streams
 from scanloom.stages.scans.calibration.camera_resolution import get_stated_camera
 from scanloom.stages.scans.calibration.discovery import list_trajectory_candidates
 from scanloom.stages.scans.codes import SCAN_FILES_MISSING
-from scanloom.stages.scans.image_folders.image_files import COLOR_FOLDERS, find_common_size, list_images
+from scanloom.stages.scans.image_folders.image_files import (
+    COLOR_FOLDERS,
+    MASK_FOLDERS,
+    find_common_size,
+    list_images,
+)
 from scanloom.stages.scans.layouts.shared.layout import Layout
 from scanloom.stages.scans.layouts.shared.phone_scans import scale_to_size
+from scanloom.stages.scans.layouts.shared.photo_masks import find_photo_mask
 from scanloom.stages.scans.layouts.shared.posed_views import find_transparency_mask
 from scanloom.stages.scans.model.missing_data import describe_missing_poses
 from scanloom.stages.scans.model.reading_params import ReadingParams
 from scanloom.stages.scans.model.scan import Camera, Frame, Scan, SkippedFrame
 
 _PHOTO_FOLDERS = (*COLOR_FOLDERS, "photos", "frames", "imgs")
-_MASK_FOLDERS = ("masks", "mask")
 _SAME_FORMAT = {".jpeg": ".jpg", ".tiff": ".tif"}
 # Minimum number of photos for structure from motion.
 _MIN_PHOTO_COUNT = 3
@@ -48,7 +53,7 @@ def _matches(folder: Path) -> str | None:
     others = [
         one for one in folder.iterdir() if one.is_dir() and one != photos and not one.name.startswith(".")
     ]
-    if any(one.name not in _MASK_FOLDERS for one in others):
+    if any(one.name not in MASK_FOLDERS for one in others):
         return None
     files = list_images(photos)
     formats = {_SAME_FORMAT.get(file.suffix.lower(), file.suffix.lower()) for file in files}
@@ -86,7 +91,7 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
         )
     files = list_images(photos)
     stated = get_stated_camera(options, folder, *find_common_size(files))
-    found = [_create_frame(file, stated) for file in files]
+    found = [_create_frame(folder, file, stated) for file in files]
     frames = [one for one in found if isinstance(one, Frame)]
     skipped = tuple(one for one in found if isinstance(one, SkippedFrame))
     missing = describe_missing_poses(
@@ -104,9 +109,10 @@ def _read(folder: Path, options: ReadingParams) -> Scan:
     )
 
 
-def _create_frame(file: Path, stated: Camera | None) -> Frame | SkippedFrame:
+def _create_frame(folder: Path, file: Path, stated: Camera | None) -> Frame | SkippedFrame:
     try:
-        camera, mask = choose_camera(file, stated), find_transparency_mask(file)
+        camera = choose_camera(file, stated)
+        mask = find_photo_mask(folder, file) or find_transparency_mask(file)
         return Frame(file.stem, camera, color=file, mask=mask)
     except InputError as error:
         return SkippedFrame(file.stem, error.diagnostic)

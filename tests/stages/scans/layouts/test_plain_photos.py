@@ -60,6 +60,20 @@ def test_photos_may_be_of_several_formats_if_all_are_in_color(tmp_path: Path) ->
         detect_layout(tmp_path)
 
 
+def test_masks_are_found_beside_the_photos(tmp_path: Path) -> None:
+    write_photos(tmp_path / "images")
+    (tmp_path / "masks").mkdir()
+    half = np.zeros((24, 36), np.uint8)
+    half[:, 20:] = 255
+    for name in NAMES:
+        Image.fromarray(half).save(tmp_path / "masks" / f"{name}_mask.JPG", quality=95)
+    assert detect_layout(tmp_path)[0].name == "photos"
+    for frame in read_scan(tmp_path, complete=False).frames:
+        np.testing.assert_array_equal(
+            read_mask(frame)[:, [0, 18, 22, 35]] > 0, [[False, False, True, True]] * 24
+        )
+
+
 def test_the_focal_length_comes_from_exif_or_from_the_user(tmp_path: Path) -> None:
     write_photos(tmp_path, focal_35mm=28)
     camera = read_scan(tmp_path, complete=False).frames[0].camera
