@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -38,6 +39,7 @@ from scanloom.stages.adjusting.surface_points import SurfacePoints
 from scanloom.stages.adjusting.tracks import Tracks
 from scanloom.stages.adjusting.unprojection import compute_depth_basis, measure_planes
 from scanloom.stages.adjusting.view import AdjustmentView, correct_views
+from scanloom.stages.scans.model.prefetch import run_concurrently
 
 # Standard deviation of a keypoint, pixels, and Huber thresholds of pixel and depth residuals, in standard
 # deviations.
@@ -251,16 +253,18 @@ class AdjustmentProblem:
         coefficients = state.depth_coefficients
         if len(coefficients):
             views = correct_views(views, coefficients)
-        planes = TangentPlanes.from_views(
-            views, self.tracks.view_indices, _to_depth_camera(state, self.tracks), 1.0, coefficients
-        )
         other = self.surfaces.pair_indices[self.surfaces.pair_of_point, 1]
-        meetings = TangentPlanes.from_views(
-            views,
-            other,
-            self.transform_surface_points(state).other_readout,
-            _SURFACE_SIGMA_FACTOR,
-            coefficients,
+        meetings, planes = run_concurrently(
+            lambda: TangentPlanes.from_views(
+                views,
+                other,
+                self.transform_surface_points(state).other_readout,
+                _SURFACE_SIGMA_FACTOR,
+                coefficients,
+            ),
+            lambda: TangentPlanes.from_views(
+                views, self.tracks.view_indices, _to_depth_camera(state, self.tracks), 1.0, coefficients
+            ),
         )
         return replace(self, planes=planes, surface_planes=meetings)
 
@@ -284,8 +288,9 @@ class AdjustmentProblem:
 
     def compute_cost(self, state: AdjustmentState) -> float:
         """Compute half the robust (Huber) sum of squared residuals."""
-        pixel, depth, poses, camera = self._compute_residuals(state)
-        meeting = self.compute_surface_residuals(state)
+        meeting, (pixel, depth, poses, camera) = run_concurrently(
+            lambda: self.compute_surface_residuals(state), lambda: self._compute_residuals(state)
+        )
         return float(
             _compute_huber_loss(np.hypot(*pixel.T), _HUBER_PIXEL).sum()
             + _compute_huber_loss(np.abs(depth), _HUBER_DEPTH).sum()
@@ -363,6 +368,13 @@ class AdjustmentProblem:
 
     def linearise(self, state: AdjustmentState) -> LinearisedProblem:
         """Linearise the residuals at a state, weighted for the Huber loss."""
+        surface_residuals, make_problem = run_concurrently(
+            lambda: self._linearise_surfaces(state), lambda: self._linearise_observations(state)
+        )
+        return make_problem(surface_residuals)
+
+    def _linearise_observations(self, state: AdjustmentState) -> partial[LinearisedProblem]:
+        """Linearise all but the surface residuals, which the returned function takes."""
         tracks, cameras = self.tracks, state.cameras
         pixel, depth, moved, camera = self._compute_residuals(state)
         seen = _to_depth_camera(state, tracks)
@@ -409,8 +421,8 @@ class AdjustmentProblem:
             depth_gradient = self.depth_precision @ state.depth_coefficients
             camera_gradient = np.concatenate([camera_gradient, depth_gradient])
             camera_weights = _join_diagonal(camera_weights, self.depth_precision)
-        return LinearisedProblem(
-            surface_residuals=self._linearise_surfaces(state),
+        return partial(
+            LinearisedProblem,
             residuals=np.concatenate([pixel, depth[:, None]], axis=1) * root,
             by_pose=np.concatenate(by_pose, axis=2),
             by_camera=by_step,

@@ -192,8 +192,8 @@ class RenderModel:
         self, hits: RayHits, directions: _Floats, viewpoint: Viewpoint, shading: Shading
     ) -> _Floats:
         mesh = self.surface.mesh
-        corners = mesh.triangles[hits.triangles]
-        view_directions = _normalize(directions[hits.rays])
+        corners = mesh.triangles.take(hits.triangles, axis=0)
+        view_directions = _normalize(directions.take(hits.rays, axis=0))
         is_back_face = _dot(hits.normals, view_directions) > 0
         normals = hits.normals
         if shading != "edges":
@@ -213,7 +213,9 @@ class RenderModel:
         if shading == "edges":
             # Relative to the camera, so that float32 is precise enough.
             origin = viewpoint.world_from_camera[:3, 3]
-            relative_corners = [np.asarray(mesh.vertices[i] - origin, np.float32) for i in corners.T]
+            relative_corners = [
+                np.asarray(mesh.vertices.take(i, axis=0) - origin, np.float32) for i in corners.T
+            ]
             line = _compute_edge_opacity(relative_corners, hits, viewpoint)[:, None]
             clay += line * (_EDGE - clay)
         return clay

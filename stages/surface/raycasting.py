@@ -163,13 +163,13 @@ class RaycastingSurface:
         met = np.flatnonzero(np.isfinite(distances))
         if starts is not None:
             distances += starts
-        u, v = found["primitive_uvs"].numpy()[met].T
+        u, v = found["primitive_uvs"].numpy().take(met, axis=0).T
         return RayHits(
             met,
-            found["primitive_ids"].numpy()[met].astype(np.int64),
+            found["primitive_ids"].numpy().take(met).astype(np.int64),
             np.stack([1 - u - v, u, v], axis=1).clip(0, 1),
-            distances[met],
-            found["primitive_normals"].numpy()[met],
+            distances.take(met),
+            found["primitive_normals"].numpy().take(met, axis=0),
         )
 
     def are_occluded(

@@ -108,8 +108,12 @@ def sample_bilinear(
     columns, column_weight = _locate_texels(uvs[:, 0], width, wrap[0])
     rows, row_weight = _locate_texels(1 - uvs[:, 1], height, wrap[1])
     row_colors = []
+    # `take` is up to twice as fast as indexing by rows and columns.
+    texels = image.reshape(-1, image.shape[2])
     for row in rows:
-        first, second = (image[row, column, :3].astype(np.float32) for column in columns)
+        first, second = (
+            texels.take(row * width + column, axis=0)[:, :3].astype(np.float32) for column in columns
+        )
         row_colors.append(first + (second - first) * column_weight)
     return np.asarray(row_colors[0] + (row_colors[1] - row_colors[0]) * row_weight)
 

@@ -155,7 +155,8 @@ class DetailBaker:
 
     def _locate(self, factor: int) -> list[_PagePoints]:
         """Locate the points of all texels of the images, smaller by a factor; the last factor is kept."""
-        if factor not in self._points:
+        found = self._points.get(factor)
+        if found is None:
             pages = self.pages.reduce(factor)
             correspondence = Correspondence(self.simplified, self.original, pages, self._vertices)
             found = []
@@ -164,8 +165,9 @@ class DetailBaker:
                 points = sources.points
                 own = correspondence.locate_texels(number, points.texels)
                 found.append(_PagePoints(size, sources.is_filled, points, own))
+            # Another thread may locate the points of another factor.
             self._points = {factor: found}
-        return self._points[factor]
+        return found
 
 
 def encode_displacements(

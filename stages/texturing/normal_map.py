@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scanloom.stages.files.image_bytes import encode_image
+from scanloom.stages.scans.model.prefetch import get_worker_count, map_ordered
 from scanloom.stages.surface.formats.gltf_materials import CLAMP_SAMPLER, GltfMaterialSource, make_lit_source
 from scanloom.stages.surface.mesh import Mesh
 from scanloom.stages.surface.texture import Image, Material
@@ -89,18 +90,21 @@ def bake_normal_map(mesh: Mesh, original: Mesh, pages: AtlasLayout, max_bytes: f
     baker = DetailBaker(smooth, original, pages)
     comparison = ShadingComparison(mesh, original, baker.original_normals)
     before = comparison.measure(mesh)
-    best: _Encoding | None = None
-    for factor in _list_factors(baker):
+
+    def bake(factor: int) -> _Encoding | None:
         images = baker.bake_normals(factor)
         fitting = next((one for one in _encode(images) if sum(map(len, one[2])) <= max_bytes), None)
         if fitting is None:
-            continue
+            return None
         form, quality, data = fitting
         mapped = attach_maps(smooth, {"normalTexture": make_images(data, "normal", form)})
-        error = comparison.measure(mapped)
-        if best is None or error.mean_deg < best.error.mean_deg:
-            sizes = tuple((image.shape[1], image.shape[0]) for image in images)
-            best = _Encoding(mapped, error, data, sizes, form, quality)
+        sizes = tuple((image.shape[1], image.shape[0]) for image in images)
+        return _Encoding(mapped, comparison.measure(mapped), data, sizes, form, quality)
+
+    # Large parts of a bake are NumPy on one core. More than two bakes at a time would need too much memory.
+    factors, threads = _list_factors(baker), min(get_worker_count(), 2)
+    baked = map_ordered(bake, factors, threads=threads, max_pending=threads)
+    best = min(filter(None, baked), key=lambda one: one.error.mean_deg, default=None)
     if best is None:
         return NormalMapResult(None, before, None)
     is_better = best.error.mean_deg < before.mean_deg

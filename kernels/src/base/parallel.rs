@@ -78,14 +78,19 @@ pub fn map<T: Send, S>(
     results.into_iter().flatten().collect()
 }
 
-/// Fill a slice with `value(index)`; each thread fills a contiguous part.
+/// Contiguous parts of a loop per thread. Threads take the next part when they have finished one, because
+/// elements that are close together often take equally long: a frame sees only some of the vertices.
+const PARTS_PER_THREAD: usize = 8;
+
+/// Fill a slice with `value(index)`; each thread fills contiguous parts.
 pub fn fill<T: Send>(values: &mut [T], threads: usize, value: impl Fn(usize) -> T + Sync) {
     update(values, threads, |i, slot| *slot = value(i));
 }
 
 /// Update each element of a slice with `change(index, element)`; each thread updates contiguous parts.
 pub fn update<T: Send>(values: &mut [T], threads: usize, change: impl Fn(usize, &mut T) + Sync) {
-    let part = values.len().div_ceil(threads.max(1)).max(1);
+    let parts = if threads > 1 { threads * PARTS_PER_THREAD } else { 1 };
+    let part = values.len().div_ceil(parts).max(1);
     for_each_part(
         values.chunks_mut(part).enumerate().collect(),
         threads,
@@ -97,7 +102,7 @@ pub fn update<T: Send>(values: &mut [T], threads: usize, change: impl Fn(usize, 
     );
 }
 
-/// Collect `value(index)` for each index below `count`; each thread computes a contiguous part.
+/// Collect `value(index)` for each index below `count`; each thread computes contiguous parts.
 pub fn collect<T: Send>(count: usize, threads: usize, value: impl Fn(usize) -> T + Sync) -> Vec<T> {
     if threads <= 1 {
         return (0..count).map(value).collect();

@@ -65,7 +65,7 @@ pub struct Sight {
 }
 
 impl Sight {
-    /// Project a point; None behind the camera.
+    /// Project a point; None behind the camera and outside the image, where most points are.
     pub fn new(frame: DepthFrame<'_>, point: &Vec3, normal: &Vec3) -> Option<Self> {
         let camera = frame.camera;
         let row = |i: usize| {
@@ -77,6 +77,10 @@ impl Sight {
             return None;
         }
         let pixel = [0, 1].map(|i| row(i) / z * camera.focal[i] + camera.centre[i]);
+        let [right, below] = [camera.width, camera.height].map(|size| (size - 1) as f64);
+        if !(pixel[0] >= 0.0 && pixel[1] >= 0.0 && pixel[0] < right && pixel[1] < below) {
+            return None;
+        }
         let centre = [0, 1, 2].map(|i| camera.pose[i][3]);
         let to_point = sub(point, &centre);
         let along = dot(&to_point, normal);

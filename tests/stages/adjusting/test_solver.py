@@ -244,7 +244,7 @@ def test_surfaces_alone_bring_poses_together(make_scene):
         ).update_planes(make_scene.views, state)
         held = stated.surface_planes.depths > 0
         assert held.mean() > 0.5
-        behind = stated.surface_planes.compute_residuals(stated.transform_surface_points(state).other_readout)
+        behind = stated.compute_surface_residuals(state)
         gaps.append(np.median(np.abs(behind[held])))
     assert gaps[1] < 0.3 * gaps[0]
 
