@@ -71,6 +71,7 @@ impl From<KernelError> for PyErr {
 #[pymodule(gil_used = false)]
 fn _kernels(module: &Bound<'_, PyModule>) -> PyResult<()> {
     std::mem::forget(Reserve::new(MODULE_RESERVE_BYTES)?);
+    compression::set_allocator();
     module.add("InvalidMeshError", module.py().get_type::<InvalidMeshError>())?;
     module.add("LimitError", module.py().get_type::<LimitError>())?;
     module.add("NEEDLE", crate::certify::NEEDLE_RATIO)?;
