@@ -74,6 +74,15 @@ def _make_calls(mesh: Mesh, side: int) -> dict[str, Call]:
         "find_intersecting_triangles": partial(
             kernels.find_intersecting_triangles, mesh.vertices, mesh.triangles, wanted_threads=2, **told
         ),
+        "find_irregular_elements": partial(
+            kernels.find_irregular_elements,
+            mesh.vertices,
+            mesh.triangles,
+            corner_deg=1.0,
+            fold_deg=10.0,
+            spike_deg=60.0,
+            wanted_threads=2,
+        ),
         "optimize_strip_order": partial(kernels.optimize_strip_order, mesh.triangles, count),
         "encode_rows": partial(kernels.encode_rows, mesh.vertices.view(np.uint8)),
         "encode_triangles": partial(kernels.encode_triangles, mesh.triangles, count),

@@ -13,6 +13,7 @@ mod compression;
 mod fit;
 mod fusion;
 mod intersections;
+mod irregular;
 mod jia01;
 mod lod;
 mod memory;
@@ -118,6 +119,7 @@ fn _kernels(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(jia01::simplify, module)?)?;
     module.add_function(wrap_pyfunction!(jia01::compute_side_lengths, module)?)?;
     module.add_function(wrap_pyfunction!(intersections::find_intersecting_triangles, module)?)?;
+    module.add_function(wrap_pyfunction!(irregular::find_irregular_elements, module)?)?;
     module.add_class::<normal_mesh::NormalMesh>()?;
     module.add("SnmError", module.py().get_type::<normal_mesh::SnmError>())?;
     module.add_function(wrap_pyfunction!(normal_mesh::remesh, module)?)?;
