@@ -55,6 +55,7 @@ __all__ = [
     "filter_depth",
     "find_hull_entry",
     "find_intersecting_triangles",
+    "find_irregular_elements",
     "find_planar_patches",
     "find_touched_blocks",
     "fit",
@@ -1149,6 +1150,20 @@ def find_intersecting_triangles(
     progress: Callable[[int, int], object],
 ) -> NDArray[np.uint32]:
     """Find for each triangle one that it intersects beyond their shared vertices; 2³² − 1 for none."""
+
+def find_irregular_elements(
+    vertices: NDArray[np.float64],
+    triangles: NDArray[np.int32],
+    *,
+    corner_deg: float,
+    fold_deg: float,
+    spike_deg: float,
+    wanted_threads: int,
+) -> tuple[dict[str, NDArray[np.int64]], dict[str, int]]:
+    """Find the irregular elements of each class: vertices, edges (k, 2) or triangles, ascending.
+
+    Also returns topological counts: edges, boundary_loops, components, used, referenced, repeating.
+    """
 
 def label_components(
     count: int, a: NDArray[np.integer[Any]], b: NDArray[np.integer[Any]]

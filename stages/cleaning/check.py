@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -19,16 +19,15 @@ from scanloom.stages.params import check_parameters as check_params
 from scanloom.stages.params import param, resolve
 from scanloom.stages.printing import format_by_metrics, render_table
 from scanloom.stages.progress import Progress, ignore_progress
-from scanloom.stages.surface.edges import Ids, build_edges, label_components
+from scanloom.stages.surface.edges import Ids, label_components
 from scanloom.stages.surface.mesh import Mesh, Triangles, Vertices
 from scanloom.stages.surface.mesh_conversion import MeshLike, as_mesh
 from scanloom.stages.surface.raycasting import RaycastingSurface, compute_bounding_box, iterate_chunks
 from scanloom.stages.surface.topology import (
     Topology,
     has_repeated_vertex,
-    is_degenerate,
+    make_topology,
     require_measurable,
-    topology,
 )
 from scanloom.stages.surface.welding import find_first_equal_rows
 
@@ -354,26 +353,22 @@ def check(
     limits = AngleLimits(
         corner_deg=params.corner_angle, fold_deg=params.fold_angle, spike_deg=params.spike_angle
     )
-    places = find_irregular(welded.vertices, welded.triangles, limits, params.threads or 0, progress)
-    thickness = _measure_thickness(welded) if len(welded.triangles) else np.empty(0)
-    places["thin_triangles"] = np.flatnonzero(thickness < params.min_thickness)
+    places, counts = find_irregular(welded.vertices, welded.triangles, limits, params.threads or 0, progress)
+    thickness = _measure_thickness(welded, places["degenerate_triangles"])
     # Duplicate vertices must not count as unused vertices.
-    counted = topology(_remove_duplicate_vertices(welded, first))
+    vertices = int(np.count_nonzero(first == np.arange(len(first))))
+    counted = make_topology(vertices, len(welded.triangles), places, counts)
+    inside_out = _count_inside_out(welded, places)
+    places["thin_triangles"] = np.flatnonzero(thickness < params.min_thickness)
     return CheckResult(
         topology=counted,
         defects=places,
         defect_points={name: _compute_points(welded, CLASSES[name][0], ids) for name, ids in places.items()},
         thickness=thickness,
         min_thickness=params.min_thickness,
-        inside_out_count=_count_inside_out(welded),
+        inside_out_count=inside_out,
         triangles=welded.triangles,
     )
-
-
-def _remove_duplicate_vertices(mesh: Mesh, first: Ids) -> Mesh:
-    is_first = first == np.arange(len(first))
-    number = np.cumsum(is_first) - 1
-    return Mesh(mesh.vertices[is_first], number[mesh.triangles].astype(np.int32))
 
 
 def _compute_points(mesh: Mesh, kind: ElementKind, ids: Ids) -> Vertices:
@@ -387,24 +382,26 @@ def _compute_points(mesh: Mesh, kind: ElementKind, ids: Ids) -> Vertices:
     return np.asarray(mesh.vertices[corners].mean(axis=1))
 
 
-def _count_inside_out(mesh: Mesh) -> int:
+def _count_inside_out(mesh: Mesh, places: Mapping[str, Ids]) -> int:
     """Count the closed components that face inwards, except around cavities."""
     triangles = mesh.triangles[~has_repeated_vertex(mesh.triangles)]
-    if len(triangles) == 0:
+    count, labels = label_components(
+        len(mesh.vertices), triangles[:, :2].reshape(-1), triangles[:, 1:].reshape(-1)
+    )
+    component = labels[triangles[:, 0]]
+    is_open = np.zeros(count, bool)
+    for name in ("border_edges", "nonmanifold_edges", "inconsistent_edges"):
+        is_open[labels[places[name][:, 0]]] = True
+    if is_open[component].all():
         return 0
-    edges = build_edges(triangles, len(mesh.vertices))
-    _, labels = label_components(len(mesh.vertices), edges.ends[:, 0], edges.ends[:, 1])
-    is_open = np.zeros(labels.max(initial=-1) + 1, bool)
-    is_open[labels[edges.ends[(edges.triangle_count != 2) | (edges.forward_count != 1), 0]]] = True
     # Relative to the centre, to avoid cancellation far from the origin.
     a, b, c = (mesh.vertices[triangles] - compute_bounding_box(mesh).mean(axis=0)).transpose(1, 0, 2)
-    volumes = np.bincount(labels[triangles[:, 0]], np.einsum("ij,ij->i", a, np.cross(b, c)), len(is_open))
+    volumes = np.bincount(component, np.einsum("ij,ij->i", a, np.cross(b, c)), count)
     signed = np.where(is_open, 0.0, volumes.astype(np.float64))
-    found = find_inside_out(Mesh(mesh.vertices, triangles), labels[triangles[:, 0]], signed)
-    return int(np.count_nonzero(found))
+    return int(np.count_nonzero(find_inside_out(Mesh(mesh.vertices, triangles), component, signed)))
 
 
-def _measure_thickness(mesh: Mesh) -> NDArray[np.float64]:
+def _measure_thickness(mesh: Mesh, degenerate: Ids) -> NDArray[np.float64]:
     """Measure the thickness (m,) of the solid behind each triangle, in metres.
 
     A ray is cast from each triangle's centre along the inward normal. The result is NaN if the ray misses the
@@ -412,11 +409,12 @@ def _measure_thickness(mesh: Mesh) -> NDArray[np.float64]:
     box's diagonal.
     """
     thickness = np.full(len(mesh.triangles), np.nan)
-    (proper,) = np.nonzero(~is_degenerate(mesh.vertices, mesh.triangles))
+    proper = np.delete(np.arange(len(mesh.triangles)), degenerate)
     if len(proper) == 0:
         return thickness
-    surface = RaycastingSurface(mesh)
-    start = _RAY_OFFSET_RATIO * float(np.linalg.norm(np.diff(compute_bounding_box(mesh), axis=0)))
+    box = compute_bounding_box(mesh)
+    surface = RaycastingSurface(mesh, box)
+    start = _RAY_OFFSET_RATIO * float(np.linalg.norm(box[1] - box[0]))
     for rows in iterate_chunks(len(proper)):
         triangles = proper[rows]
         corners = mesh.vertices[mesh.triangles[triangles]]

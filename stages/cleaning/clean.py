@@ -47,7 +47,7 @@ if TYPE_CHECKING:
 
     from scanloom.stages.params.keywords import CleanKeywords
 
-RESULT_VERSION = 1
+RESULT_VERSION = 2
 
 # Default area limit of islands, as a ratio of the largest component's area. In 7-Scenes redkitchen at 2 cm,
 # this removes 198 of 205 components, which contain 0.7 % of the triangles.

@@ -12,18 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from scanloom.stages._kernels import find_intersecting_triangles
+from scanloom.stages._kernels import find_intersecting_triangles, find_irregular_elements
 from scanloom.stages.progress import Progress
-from scanloom.stages.surface.cross_products import compute_area_vectors, compute_lengths, cross_rows
-from scanloom.stages.surface.edges import Edges, Ids, build_edges, label_fans, pair_halfedges
+from scanloom.stages.surface.cross_products import compute_lengths, cross_rows
+from scanloom.stages.surface.edges import Ids
 from scanloom.stages.surface.mesh import Triangles, Vertices
-from scanloom.stages.surface.topology import (
-    find_pinched_vertices,
-    has_repeated_vertex,
-    is_degenerate,
-    is_duplicate,
-    is_inconsistent,
-)
 
 # Value of the kernel for a triangle that intersects no other.
 NO_INTERSECTION = np.uint32(2**32 - 1)
@@ -45,28 +38,10 @@ class AngleLimits:
     spike_deg: float
 
 
-@dataclass(frozen=True, eq=False)
-class _PreparedMesh:
-    """Mesh without duplicate vertices, and its edges.
-
-    `proper_triangles` are the triangles with three distinct vertices; `edges` are edges of these triangles.
-    """
-
-    vertices: Vertices
-    triangles: Triangles
-    proper_triangles: Ids
-    edges: Edges
-
-    @property
-    def corners(self) -> Triangles:
-        """Vertices (p, 3) of the triangles with three distinct vertices."""
-        return self.triangles[self.proper_triangles]
-
-
 def find_irregular(
     vertices: Vertices, triangles: Triangles, limits: AngleLimits, threads: int, progress: Progress
-) -> dict[str, Ids]:
-    """Find the irregular elements of each class.
+) -> tuple[dict[str, Ids], dict[str, int]]:
+    """Find the irregular elements of each class, and count the edges and components.
 
     Parameters
     ----------
@@ -77,12 +52,13 @@ def find_irregular(
 
     Returns
     -------
-    dict : per class, vertices (k,), edges (k, 2) with the smaller vertex index first, or triangles (k,),
+    places : per class, vertices (k,), edges (k, 2) with the smaller vertex index first, or triangles (k,),
         ascending.
+    counts : counts for `scanloom.stages.surface.topology.make_topology`.
     """
-    places = find_local_irregular(vertices, triangles, limits)
+    places, counts = _find_elements(vertices, triangles, limits, threads)
     other = find_intersecting_triangles(vertices, triangles, wanted_threads=threads, progress=progress)
-    return places | {"intersecting_triangles": np.flatnonzero(other != NO_INTERSECTION)}
+    return places | {"intersecting_triangles": np.flatnonzero(other != NO_INTERSECTION)}, counts
 
 
 def find_local_irregular(vertices: Vertices, triangles: Triangles, limits: AngleLimits) -> dict[str, Ids]:
@@ -91,30 +67,21 @@ def find_local_irregular(vertices: Vertices, triangles: Triangles, limits: Angle
     Each of these classes depends only on the triangles around an element. The result has the form of
     `find_irregular`.
     """
-    (proper,) = np.nonzero(~has_repeated_vertex(triangles))
-    surface = _PreparedMesh(vertices, triangles, proper, build_edges(triangles[proper], len(vertices)))
-    edges = surface.edges
-    singular = find_pinched_vertices(
-        surface.corners, label_fans(surface.corners, *pair_halfedges(edges, edges.triangle_count > 1))
+    return _find_elements(vertices, triangles, limits, 1)[0]
+
+
+def _find_elements(
+    vertices: Vertices, triangles: Triangles, limits: AngleLimits, threads: int
+) -> tuple[dict[str, Ids], dict[str, int]]:
+    places, counts = find_irregular_elements(
+        vertices,
+        triangles,
+        corner_deg=limits.corner_deg,
+        fold_deg=limits.fold_deg,
+        spike_deg=limits.spike_deg,
+        wanted_threads=threads,
     )
-    degenerate = is_degenerate(vertices, triangles)
-    angles = compute_corner_angles(vertices, triangles)
-    is_cap = ~degenerate & (angles.max(axis=1, initial=0) > 180 - limits.corner_deg)
-    is_needle = ~degenerate & ~is_cap & (angles.min(axis=1, initial=180) < limits.corner_deg)
-    return {
-        "border_edges": edges.ends[edges.triangle_count == 1],
-        "nonmanifold_edges": edges.ends[edges.triangle_count > 2],
-        "inconsistent_edges": edges.ends[is_inconsistent(edges)],
-        "singular_vertices": singular,
-        "focal_vertices": _find_focal_vertices(surface),
-        "singular_border_triangles": _find_lone_triangles(surface, singular),
-        "degenerate_triangles": np.flatnonzero(degenerate),
-        "duplicate_triangles": proper[is_duplicate(edges)],
-        "caps": np.flatnonzero(is_cap),
-        "needles": np.flatnonzero(is_needle),
-        "sharp_edges": _find_folded_edges(surface, degenerate, limits.fold_deg),
-        "spikes": _find_spikes(surface, singular, angles, limits.spike_deg),
-    }
+    return dict(places), counts
 
 
 def compute_corner_angles(vertices: Vertices, triangles: Triangles | Ids) -> NDArray[np.float64]:
@@ -126,52 +93,3 @@ def compute_corner_angles(vertices: Vertices, triangles: Triangles | Ids) -> NDA
         across = compute_lengths(cross_rows(one, other))
         found[:, k] = np.degrees(np.arctan2(across, np.einsum("ij,ij->i", one, other)))
     return found
-
-
-def _find_focal_vertices(surface: _PreparedMesh) -> Ids:
-    """Find the vertices at which more than two border edges end."""
-    border = surface.edges.ends[surface.edges.triangle_count == 1]
-    return np.flatnonzero(np.bincount(border.reshape(-1), minlength=len(surface.vertices)) > 2)
-
-
-def _find_lone_triangles(surface: _PreparedMesh, singular: Ids) -> Ids:
-    """Find triangles that share no edge at a singular vertex.
-
-    They are recognised by the vertex having twice as many neighbours as triangles.
-    """
-    count = len(surface.vertices)
-    triangles_at = np.bincount(surface.corners.reshape(-1), minlength=count)
-    neighbours_at = np.bincount(surface.edges.ends.reshape(-1), minlength=count)
-    is_alone = np.zeros(count, bool)
-    is_alone[singular] = 2 * triangles_at[singular] == neighbours_at[singular]
-    return np.asarray(surface.proper_triangles[is_alone[surface.corners].any(axis=1)])
-
-
-def _find_folded_edges(surface: _PreparedMesh, degenerate: NDArray[np.bool_], fold_deg: float) -> Ids:
-    """Find the edges (k, 2) whose triangles are folded onto each other."""
-    edges = surface.edges
-    (chosen,) = np.nonzero(edges.triangle_count == 2)
-    edge_triangles = surface.proper_triangles[
-        edges.halfedges[edges.start[chosen][:, None] + np.arange(2)] // 3
-    ]
-    chosen, edge_triangles = (
-        rows[~degenerate[edge_triangles].any(axis=1)] for rows in (chosen, edge_triangles)
-    )
-    normals = compute_area_vectors(surface.vertices[surface.triangles])
-    one, other = normals[edge_triangles[:, 0]], normals[edge_triangles[:, 1]]
-    # For inconsistently oriented neighbours, one normal is reversed.
-    sign = np.where(is_inconsistent(edges)[chosen], -1.0, 1.0)
-    across = compute_lengths(cross_rows(one, other))
-    angle = np.arctan2(across, sign * np.einsum("ij,ij->i", one, other))
-    return np.asarray(edges.ends[chosen[np.degrees(angle) > 180 - fold_deg]])
-
-
-def _find_spikes(surface: _PreparedMesh, singular: Ids, angles: NDArray[np.float64], spike_deg: float) -> Ids:
-    """Find inner vertices whose corner angles sum to less than `spike_deg`."""
-    count = len(surface.vertices)
-    corners = surface.corners.reshape(-1)
-    around = np.bincount(corners, angles[surface.proper_triangles].reshape(-1), minlength=count)
-    is_spike = (around < spike_deg) & (np.bincount(corners, minlength=count) > 0)
-    is_spike[surface.edges.ends[surface.edges.triangle_count != 2]] = False
-    is_spike[singular] = False
-    return np.flatnonzero(is_spike)

@@ -215,7 +215,7 @@ def _repair(given: Mesh, params: RepairParams, progress: Progress) -> RepairResu
     )
     edited = EditableMesh.start(given)
     joined = edited.triangles.astype(np.int32)
-    found = find_irregular(given.vertices, joined, limits, threads, ignore_progress)
+    found, _ = find_irregular(given.vertices, joined, limits, threads, ignore_progress)
     progress(1, _STEP_COUNT)
     max_shape = _compute_default_max_shape(given) if params.max_shape is None else params.max_shape
     log = RepairLog()

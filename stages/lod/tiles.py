@@ -53,7 +53,7 @@ if TYPE_CHECKING:
     from scanloom.stages.params.keywords import TilesKeywords
 
 # Increment when the tiles of the same levels change, to invalidate cache entries.
-RESULT_VERSION = 2
+RESULT_VERSION = 3
 
 Tree = dict[str, Any]
 Floats = NDArray[np.float64]
@@ -67,8 +67,9 @@ COMPRESSIONS = ("none", "meshopt")
 TILESET_DESCRIPTION = "a tileset of scanloom"
 # Maximum triangles of a tile relative to its only child; a larger tile is skipped, and the child replaces it.
 _MAX_CHILD_RATIO = 0.8
-# Maximum triangles of a tile of the base mesh, about 80 kB without compression. A larger base mesh is split.
-_MAX_BASE_TRIANGLES = 4000
+# Maximum bytes of a tile of the base mesh, without compression and image. A larger base mesh is split. Tiles
+# of coarser levels cannot be split: their children replace them together.
+_MAX_BASE_BYTES = 80_000
 # Up axis in camera coordinates, which are the world coordinates of scans without given poses.
 _CAMERA_UP = "-y"
 # Significant digits of a bound, rounded up.
@@ -156,8 +157,8 @@ def write_tiles(
     """Write a hierarchy as 3D Tiles 1.1.
 
     The output is `outdir/tileset.json` and one GLB file per tile. A tile is the coarse mesh of a node; below
-    each leaf, the tiles are parts of the base mesh, of at most 4,000 triangles. The children of a tile
-    replace it together. A tile with a single child and hardly more triangles is skipped. Tiles of different
+    each leaf, the tiles are parts of the base mesh, of at most 80 kB. The children of a tile replace it
+    together. A tile with a single child and hardly more triangles is skipped. Tiles of different
     levels fit without cracks, because all positions are on one grid.
 
     The `geometricError` of a tile is its proven two-sided shape bound plus the displacement by the grid, in
@@ -214,7 +215,7 @@ def _write_tiles(
     with write_folder_atomically(outdir, is_tileset, TILESET_DESCRIPTION) as draft:
         snapped, grid = snap_to_grid(hierarchy)
         (draft / _TILES_FOLDER).mkdir()
-        tiles = _list_tiles(hierarchy, grid)
+        tiles = _list_tiles(snapped, grid)
         sizes, triangles = np.zeros((2, len(tiles)), np.int64)
         boxes: dict[str, tuple[Floats, Floats]] = {}
         images_by_tile: dict[int, TileImage] = {}
@@ -284,7 +285,7 @@ class _Tile:
 
 
 def _list_tiles(h: Hierarchy, grid: PositionGrid) -> list[_Tile]:
-    """List all tiles: nodes by index, then the base tiles below leaves."""
+    """List all tiles of a snapped hierarchy: nodes by index, then the base tiles below leaves."""
 
     def make_tile(node: int, is_base: bool, part: int, count: int, shape: float, color: float) -> _Tile:
         bound = round_up(math.nextafter(shape + grid.max_displacement_m, math.inf), _BOUND_DIGITS)
@@ -294,7 +295,7 @@ def _list_tiles(h: Hierarchy, grid: PositionGrid) -> list[_Tile]:
 
     found, base = [], []
     for node, children in enumerate(h.children):
-        part_count = 0 if len(children) else -(-int(h.full[node]) // _MAX_BASE_TRIANGLES)
+        part_count = 0 if len(children) else _count_base_parts(_get_base_mesh(h, node), grid)
         is_light = h.coarse[node] <= _MAX_CHILD_RATIO * h.full[node]
         if len(children) > 1 or part_count > 1 or is_light:
             found.append(make_tile(node, False, 0, 1, float(h.shape_bound[node]), float(h.color_bound[node])))
@@ -316,7 +317,7 @@ def _iterate_meshes(
 
     @lru_cache(maxsize=1)
     def assemble_base(node: int, part_count: int) -> list[Mesh]:
-        return _split_mesh(snapped.mesh([node], [int(snapped.splits[node])]), part_count)
+        return _split_mesh(_get_base_mesh(snapped, node), part_count)
 
     def assemble_mesh(tile: _Tile) -> Mesh:
         if tile.is_base:
@@ -335,6 +336,19 @@ def _iterate_meshes(
         for tile, finer_tiles in zip(tiles, _list_finer_tiles(snapped, tiles), strict=True)
     ]
     yield from paint_tile_images(tile_meshes, color_source, params or TileImageParams())
+
+
+def _get_base_mesh(snapped: Hierarchy, leaf: int) -> Mesh:
+    return snapped.mesh([leaf], [int(snapped.splits[leaf])])
+
+
+def _count_base_parts(mesh: Mesh, grid: PositionGrid) -> int:
+    """Count the parts into which a base mesh is split, so that no tile exceeds the limit of bytes."""
+    count = -(-len(encode_tile_glb(mesh, grid)) // _MAX_BASE_BYTES)
+    # Parts repeat the vertices along cuts, so that more of them may be needed.
+    while any(len(encode_tile_glb(part, grid)) > _MAX_BASE_BYTES for part in _split_mesh(mesh, count)):
+        count += 1
+    return count
 
 
 def _split_mesh(mesh: Mesh, part_count: int) -> list[Mesh]:

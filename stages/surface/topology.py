@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from scanloom.stages._kernels import find_irregular_elements
 from scanloom.stages.diagnostics.errors import MeshError
 from scanloom.stages.printing import format_by_metrics, render_table
 from scanloom.stages.surface.codes import MESH_COORDINATES_TOO_LARGE, MESH_NO_SURFACE
@@ -15,10 +17,8 @@ from scanloom.stages.surface.edges import (
     Edges,
     Ids,
     build_edges,
-    label_components,
     label_fans,
     pair_halfedges,
-    step_to_next_corner,
 )
 from scanloom.stages.surface.mesh import Mesh, Triangles, Vertices
 from scanloom.stages.surface.mesh_conversion import MeshLike, as_mesh
@@ -111,31 +111,37 @@ def topology(mesh: MeshLike) -> Topology:
         If the mesh is invalid.
     """
     mesh = as_mesh(mesh)
-    repeating = has_repeated_vertex(mesh.triangles)
-    proper = mesh.triangles[~repeating]
-    edges = build_edges(proper, len(mesh.vertices))
-    labels = label_fans(proper, *pair_halfedges(edges, edges.triangle_count > 1))
-    used = np.zeros(len(mesh.vertices), bool)
-    used[proper] = True
-    unused = int(np.count_nonzero(~used))
-    pieces, _ = label_components(len(mesh.vertices), edges.ends[:, 0], edges.ends[:, 1])
-    referenced = np.zeros(len(mesh.vertices), bool)
-    referenced[mesh.triangles] = True
+    places, counts = find_irregular_elements(
+        mesh.vertices, mesh.triangles, corner_deg=0.0, fold_deg=0.0, spike_deg=0.0, wanted_threads=0
+    )
+    return make_topology(len(mesh.vertices), len(mesh.triangles), places, counts)
+
+
+def make_topology(
+    vertices: int, triangles: int, places: Mapping[str, Ids], counts: Mapping[str, int]
+) -> Topology:
+    """Make the topology from the results of the kernel `find_irregular_elements`.
+
+    Parameters
+    ----------
+    vertices, triangles : sizes of the mesh; `vertices` may exclude duplicates that no triangle uses.
+    places, counts : irregular elements and counts of the mesh.
+    """
     return Topology(
-        vertices=len(mesh.vertices),
-        triangles=len(mesh.triangles),
-        edges=len(edges.triangle_count),
-        euler=len(mesh.vertices) - unused - len(edges.triangle_count) + len(proper),
-        boundary_edges=int(np.count_nonzero(edges.triangle_count == 1)),
-        boundary_loops=_count_border_loops(edges, labels),
-        components=pieces - unused,
-        nonmanifold_edges=int(np.count_nonzero(edges.triangle_count > 2)),
-        nonmanifold_vertices=len(find_pinched_vertices(proper, labels)),
-        inconsistent_edges=int(np.count_nonzero(is_inconsistent(edges))),
-        degenerate=int(np.count_nonzero(is_degenerate(mesh.vertices, mesh.triangles))),
-        duplicate=int(np.count_nonzero(is_duplicate(edges))),
-        unreferenced=int(np.count_nonzero(~referenced)),
-        repeating=int(np.count_nonzero(repeating)),
+        vertices=vertices,
+        triangles=triangles,
+        edges=counts["edges"],
+        euler=counts["used"] - counts["edges"] + triangles - counts["repeating"],
+        boundary_edges=len(places["border_edges"]),
+        boundary_loops=counts["boundary_loops"],
+        components=counts["components"],
+        nonmanifold_edges=len(places["nonmanifold_edges"]),
+        nonmanifold_vertices=len(places["singular_vertices"]),
+        inconsistent_edges=len(places["inconsistent_edges"]),
+        degenerate=len(places["degenerate_triangles"]),
+        duplicate=len(places["duplicate_triangles"]),
+        unreferenced=vertices - counts["referenced"],
+        repeating=counts["repeating"],
     )
 
 
@@ -316,13 +322,3 @@ def find_pinched_vertices(triangles: Triangles, labels: Ids) -> Ids:
     vertex_of_fan[labels] = corners
     number_of_fans = np.bincount(vertex_of_fan)
     return np.flatnonzero(number_of_fans > 1)
-
-
-def _count_border_loops(edges: Edges, labels: Ids) -> int:
-    """Count border loops; at a pinched vertex, a loop continues along its own fan."""
-    border = edges.halfedges[edges.start[edges.triangle_count == 1]]
-    ends, index = np.unique(
-        labels[np.concatenate((border, step_to_next_corner(border)))], return_inverse=True
-    )
-    number, _ = label_components(len(ends), index[: len(border)], index[len(border) :])
-    return number

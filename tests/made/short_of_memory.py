@@ -15,6 +15,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 
@@ -27,6 +28,9 @@ from tests.made.coloured_meshes import sheet
 
 DONE, MEMORY = "done", "memory"
 _ENDS = {0: DONE, 1: MEMORY, 2: "another exception"}
+# Blocks of the free heap below 1 MiB are left to the interpreter.
+MIN_FILLED_EXPONENT = 20
+_fillings: list[NDArray[np.uint8]] = []
 
 Call = Callable[[], object]
 
@@ -69,6 +73,15 @@ def _make_calls(mesh: Mesh, side: int) -> dict[str, Call]:
         ),
         "find_intersecting_triangles": partial(
             kernels.find_intersecting_triangles, mesh.vertices, mesh.triangles, wanted_threads=2, **told
+        ),
+        "find_irregular_elements": partial(
+            kernels.find_irregular_elements,
+            mesh.vertices,
+            mesh.triangles,
+            corner_deg=1.0,
+            fold_deg=10.0,
+            spike_deg=60.0,
+            wanted_threads=2,
         ),
         "optimize_strip_order": partial(kernels.optimize_strip_order, mesh.triangles, count),
         "encode_rows": partial(kernels.encode_rows, mesh.vertices.view(np.uint8)),
@@ -468,8 +481,21 @@ def limit_memory(spare: int, after: float = 0.0) -> None:
     """Limit the growth of this process to `spare` bytes from `after` seconds on."""
     time.sleep(after)
     pages = int(Path("/proc/self/statm").read_text().split()[0])
-    most = pages * resource.getpagesize() + spare
-    resource.setrlimit(resource.RLIMIT_AS, (most, most))
+    most = pages * resource.getpagesize()
+    resource.setrlimit(resource.RLIMIT_AS, (most, most + spare))
+    _fill_free_heap()
+    resource.setrlimit(resource.RLIMIT_AS, (most + spare, most + spare))
+
+
+def _fill_free_heap() -> None:
+    """Allocate the free blocks of the heap for ever.
+
+    Inputs leave free blocks of 100 MB and more, in which a kernel would find the memory that it is denied.
+    """
+    for exponent in range(30, MIN_FILLED_EXPONENT - 1, -1):
+        with suppress(MemoryError):
+            while True:
+                _fillings.append(np.empty(1 << exponent, np.uint8))
 
 
 def main() -> None:

@@ -24,6 +24,7 @@ SIDES = {
     "compute_spatial_order": 400,
     "smooth_boundaries": 400,
     "find_intersecting_triangles": 120,
+    "find_irregular_elements": 400,
     "weld_sheets": 400,
     "label_components": 1000,
     "choose_color_weight": 120,

@@ -14,11 +14,12 @@ impl Components {
         Self { parents: (0..count as u32).collect() }
     }
 
-    /// Join the components of two nodes.
-    pub fn join(&mut self, a: usize, b: usize) {
+    /// Join the components of two nodes; returns false if they were joined before.
+    pub fn join(&mut self, a: usize, b: usize) -> bool {
         let (a, b) = (self.find_root(a), self.find_root(b));
         let (first, second) = (a.min(b), a.max(b));
         self.parents[second] = first as u32;
+        first != second
     }
 
     /// Number the components by their first node. Returns their number and the label of each node.
@@ -37,7 +38,8 @@ impl Components {
         (count as usize, self.parents)
     }
 
-    fn find_root(&mut self, node: usize) -> usize {
+    /// Find the first node of the component of a node.
+    pub fn find_root(&mut self, node: usize) -> usize {
         let mut at = node;
         loop {
             let parent = self.parents[at] as usize;
@@ -59,7 +61,7 @@ mod tests {
     fn components_are_numbered_by_their_first_node() {
         for pairs in [[(5, 1), (4, 2), (2, 5)], [(2, 5), (5, 1), (4, 2)]] {
             let mut components = Components::new(7);
-            pairs.iter().for_each(|&(a, b)| components.join(a, b));
+            pairs.iter().for_each(|&(a, b)| _ = components.join(a, b));
             assert_eq!(components.label(), (4, vec![0, 1, 1, 2, 1, 1, 3]));
         }
     }

@@ -7,6 +7,7 @@
 //! | [`edge_star`] | neighbourhood of an edge |
 //! | [`collapse_legality`] | legality of edge collapses |
 //! | [`bvh`] | bounding volume hierarchy |
+//! | [`irregular_elements`] | defects of a triangle list, and its topological counts |
 //! | [`self_intersections`] | self-intersections |
 //! | [`spatial_order`] | Z-order of vertices and triangles |
 //! | [`vertex_triangles`] | triangles around each vertex, without halfedges |
@@ -17,6 +18,7 @@ pub mod collapse_legality;
 pub mod connectivity;
 pub mod connectivity_builder;
 pub mod edge_star;
+pub mod irregular_elements;
 pub mod self_intersections;
 pub mod spatial_order;
 pub mod triangle_mesh;

@@ -9,7 +9,7 @@ use robust::{Coord, Coord3D, orient2d, orient3d};
 use super::bvh::Bvh;
 use crate::base::errors::KernelError;
 use crate::base::geometry::{Vec3, bounding_box};
-use crate::base::parallel::fill;
+use crate::base::parallel::{fill, update};
 use crate::base::progress::Progress;
 
 /// Marker for no triangle.
@@ -32,41 +32,47 @@ pub fn find_intersecting(
     let box_of = |t: usize| bounding_box(corners(t).into_iter().copied());
     let (tree, order) = Bvh::new(proper.len(), threads, |i| box_of(proper[i] as usize));
     let in_slots: Vec<u32> = order.iter().map(|&i| proper[i as usize]).collect();
-    // Processed in slot order, because triangles close in space are searched together. Most meshes have no
-    // intersection, and then each pair is tested once. Otherwise the search is repeated with all pairs, because
-    // a triangle may only intersect triangles of lower slots.
-    let count = in_slots.len() as u64;
-    let mut search = |tests_both: bool| -> Result<Vec<u32>, KernelError> {
-        let mut found = vec![NO_TRIANGLE; in_slots.len()];
+    // Processed in slot order, because triangles close in space are searched together.
+    let count = in_slots.len();
+    let mut search = |tree: &Bvh, slots: &[u32], found: &mut [u32], pass: usize| -> Result<(), KernelError> {
         for (number, part) in found.chunks_mut(TRIANGLES_PER_CHECK).enumerate() {
             let first = number * TRIANGLES_PER_CHECK;
-            progress.report(first as u64 + if tests_both { count } else { 0 }, 2 * count)?;
-            fill(part, threads, |i| {
+            progress.report((pass * count + first) as u64, 2 * count as u64)?;
+            update(part, threads, |i, met| {
+                if *met != NO_TRIANGLE {
+                    return;
+                }
                 let t = in_slots[first + i] as usize;
                 let own = box_of(t);
-                let mut met = NO_TRIANGLE;
                 let meets = |other: usize| {
                     let (Some(axis), Some(other_axis)) = (flat[t], flat[other]) else { return false };
-                    other != t
-                        && boxes_overlap(&own, &box_of(other))
+                    boxes_overlap(&own, &box_of(other))
                         && triangles_intersect(points, [triangles[t], triangles[other]], [axis, other_axis])
                 };
                 let visit = |slot: u32| {
-                    let other = in_slots[slot as usize];
-                    if (tests_both || slot as usize > first + i) && meets(other as usize) {
-                        met = other;
+                    let other = slots[slot as usize];
+                    let is_wanted = if pass == 0 { slot as usize > first + i } else { other as usize != t };
+                    if is_wanted && meets(other as usize) {
+                        *met = other;
                     }
-                    met == NO_TRIANGLE
+                    *met == NO_TRIANGLE
                 };
                 tree.visit_overlapping(&own[0], &own[1], |_, _| false, visit);
-                met
             });
         }
-        Ok(found)
+        Ok(())
     };
-    let mut found = search(false)?;
-    if found.iter().any(|&other| other != NO_TRIANGLE) {
-        found = search(true)?;
+    // The first pass tests each pair once. A triangle that only intersects triangles of lower slots is found by
+    // the second pass, among the triangles that the first one found: usually few.
+    let mut found = vec![NO_TRIANGLE; count];
+    search(&tree, &in_slots, &mut found, 0)?;
+    drop(tree);
+    let hit: Vec<u32> =
+        in_slots.iter().zip(&found).filter(|&(_, &other)| other != NO_TRIANGLE).map(|(&t, _)| t).collect();
+    if !hit.is_empty() {
+        let (tree, order) = Bvh::new(hit.len(), threads, |i| box_of(hit[i] as usize));
+        let slots: Vec<u32> = order.iter().map(|&i| hit[i as usize]).collect();
+        search(&tree, &slots, &mut found, 1)?;
     }
     let mut met = vec![NO_TRIANGLE; triangles.len()];
     in_slots.iter().zip(&found).for_each(|(&t, &other)| met[t as usize] = other);
@@ -82,7 +88,11 @@ fn boxes_overlap(a: &[Vec3; 2], b: &[Vec3; 2]) -> bool {
 fn triangles_intersect(points: &[Vec3], [a, b]: [[u32; 3]; 2], [axis_a, axis_b]: [usize; 2]) -> bool {
     let at = |v: u32| &points[v as usize];
     let shared = |v: &u32| b.contains(v);
-    match a.iter().filter(|v| shared(v)).count() {
+    let shared_count = a.iter().filter(|v| shared(v)).count();
+    if shared_count < 2 && (is_beside(points, a, b) || is_beside(points, b, a)) {
+        return false;
+    }
+    match shared_count {
         0 => {
             let sides = |t: [u32; 3]| [[t[0], t[1]], [t[1], t[2]], [t[2], t[0]]];
             sides(a).iter().any(|s| segment_intersects(s.map(at), b.map(at), axis_b))
@@ -110,6 +120,17 @@ fn triangles_intersect(points: &[Vec3], [a, b]: [[u32; 3]; 2], [axis_a, axis_b]:
         }
         _ => false,
     }
+}
+
+/// Check whether all vertices of a triangle that another one does not have are strictly on one side of the other
+/// triangle's plane. The two then touch at a shared vertex at most.
+fn is_beside(points: &[Vec3], t: [u32; 3], other: [u32; 3]) -> bool {
+    let [a, b, c] = other.map(|v| &points[v as usize]);
+    let sides = || {
+        let others = t.iter().filter(|v| !other.contains(v));
+        others.map(|&v| orientation(a, b, c, &points[v as usize]))
+    };
+    sides().all(|side| side > 0.0) || sides().all(|side| side < 0.0)
 }
 
 /// Check whether a segment and a triangle intersect. The triangle has a nonzero area seen along the axis.

@@ -1,8 +1,12 @@
 //! `scanloom.stages._kernels.optimize_strip_order`, `encode_rows`, `encode_triangles`, `decode_rows` and
 //! `decode_indices`: buffers of EXT_meshopt_compression.
 //!
-//! meshoptimizer does the work. It allocates in C++, where a failure would end the process, so the required
-//! memory is checked before.
+//! meshoptimizer does the work. A failed allocation in C++ would end the process, so meshoptimizer allocates
+//! from the allocator of this module, which falls back to the memory reserve of the call.
+
+use std::alloc::Layout;
+use std::ffi::c_void;
+use std::ptr::null_mut;
 
 use meshopt::ffi;
 use numpy::{PyArray2, PyReadonlyArray2};
@@ -12,8 +16,6 @@ use pyo3::types::PyBytes;
 
 use super::arrays::triangle_array;
 use super::memory_guard::with_memory_reserve;
-use crate::base::errors::KernelError;
-use crate::base::memory_reserve::is_allocatable;
 use crate::mesh::connectivity_builder::check_indices;
 
 /// Version of the vertex codec that the extension specifies; the index codec uses the default of the library.
@@ -24,8 +26,50 @@ const CODEC_LEVEL: i32 = 2;
 /// takes a quarter of a byte per column; a triangle takes a byte.
 const MAX_BYTES_PER_BYTE: usize = 1024;
 const MAX_INDICES_PER_BYTE: usize = 3;
-/// Bytes per vertex and triangle for the ordering: lists of the triangles around vertices, and marks.
-const BYTES_PER_ELEMENT: usize = 64;
+/// Bytes before each block of meshoptimizer, which hold the size of the block: meshoptimizer frees blocks
+/// without their size. Also the alignment that C++ expects.
+const HEADER_BYTES: usize = 16;
+
+/// Let meshoptimizer allocate from the global allocator. Call this before other functions of meshoptimizer.
+pub fn set_allocator() {
+    // SAFETY: the two functions match each other and never unwind.
+    unsafe { ffi::meshopt_setAllocator(Some(allocate), Some(deallocate)) };
+}
+
+/// Allocate a block for meshoptimizer, like `operator new`, but without exceptions.
+///
+/// The reserve of a call suffices for all blocks: the ordering allocates at most 12 bytes per vertex and 17 per
+/// triangle, the codecs none. It also refuses the sizes for which this function would return null.
+unsafe extern "C" fn allocate(bytes: usize) -> *mut c_void {
+    let Some(layout) = block_layout(bytes) else { return null_mut() };
+    // SAFETY: the layout is not empty, and the header is inside the block.
+    unsafe {
+        let start = std::alloc::alloc(layout);
+        if start.is_null() {
+            std::alloc::handle_alloc_error(layout);
+        }
+        start.cast::<usize>().write(bytes);
+        start.add(HEADER_BYTES).cast()
+    }
+}
+
+/// Free a block of [`allocate`].
+unsafe extern "C" fn deallocate(block: *mut c_void) {
+    if block.is_null() {
+        return;
+    }
+    // SAFETY: `allocate` returned the block, and wrote its size to the header.
+    unsafe {
+        let start = block.cast::<u8>().sub(HEADER_BYTES);
+        let Some(layout) = block_layout(start.cast::<usize>().read()) else { return };
+        std::alloc::dealloc(start, layout);
+    }
+}
+
+/// Layout of a block with its header.
+fn block_layout(bytes: usize) -> Option<Layout> {
+    Layout::from_size_align(bytes.checked_add(HEADER_BYTES)?, HEADER_BYTES).ok()
+}
 
 /// Reorder triangles (m, 3) and their first corners for compression: each is adjacent to the one before, if
 /// possible.
@@ -38,9 +82,6 @@ pub fn optimize_strip_order(
     let count = triangles.as_array().nrows();
     with_memory_reserve(count.saturating_add(vertices), || {
         let indices = copy_indices(&triangles, vertices)?;
-        if !is_allocatable(count.saturating_add(vertices).saturating_mul(BYTES_PER_ELEMENT)) {
-            return Err(KernelError::OutOfMemory.into());
-        }
         let ordered = py.detach(|| {
             let mut ordered = vec![0u32; indices.len()];
             // SAFETY: the output is as long as the input, and each index is below `vertices`.

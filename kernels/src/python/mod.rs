@@ -13,6 +13,7 @@ mod compression;
 mod fit;
 mod fusion;
 mod intersections;
+mod irregular;
 mod jia01;
 mod lod;
 mod memory;
@@ -71,6 +72,7 @@ impl From<KernelError> for PyErr {
 #[pymodule(gil_used = false)]
 fn _kernels(module: &Bound<'_, PyModule>) -> PyResult<()> {
     std::mem::forget(Reserve::new(MODULE_RESERVE_BYTES)?);
+    compression::set_allocator();
     module.add("InvalidMeshError", module.py().get_type::<InvalidMeshError>())?;
     module.add("LimitError", module.py().get_type::<LimitError>())?;
     module.add("NEEDLE", crate::certify::NEEDLE_RATIO)?;
@@ -117,6 +119,7 @@ fn _kernels(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(jia01::simplify, module)?)?;
     module.add_function(wrap_pyfunction!(jia01::compute_side_lengths, module)?)?;
     module.add_function(wrap_pyfunction!(intersections::find_intersecting_triangles, module)?)?;
+    module.add_function(wrap_pyfunction!(irregular::find_irregular_elements, module)?)?;
     module.add_class::<normal_mesh::NormalMesh>()?;
     module.add("SnmError", module.py().get_type::<normal_mesh::SnmError>())?;
     module.add_function(wrap_pyfunction!(normal_mesh::remesh, module)?)?;

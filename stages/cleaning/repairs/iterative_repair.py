@@ -116,6 +116,8 @@ def _repair_neighbourhood(
             seen_again = is_affected[around.vertex_indices][around.triangles[operations.row]].any(axis=1)
             is_affected_operation[operations.owner[seen_again]] = True
         operations = operations.select(is_affected_operation)
+        if len(operations) == 0:
+            return waiting[edited.is_present(waiting)]
         new = np.searchsorted(around.vertex_indices, edited.get_vertices(operations.corner))
         judged = validate_operations(around, operations, new, edited.mesh.texture, limits)
         places = _to_mesh_defects(edited, around, operations)

@@ -125,13 +125,15 @@ def test_tiles_of_real_meshes_fit_together(shared_data: Path, tmp_path: Path) ->
 def test_a_large_base_mesh_is_split_into_parts_that_fit(
     hierarchies: dict[str, Hierarchy], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("scanloom.stages.lod.tiles._MAX_BASE_TRIANGLES", 50)
+    limit = 2500
+    monkeypatch.setattr("scanloom.stages.lod.tiles._MAX_BASE_BYTES", limit)
     hierarchy = hierarchies["closed"]
     written = lod.write_tiles(hierarchy, tmp_path / "out")
     root, rng, original = read_tiles(tmp_path / "out"), np.random.default_rng(5), get_finest_mesh(hierarchy)
     parts = [tile for tile in root.all() if not tile.children]
     assert len(parts) > len([node for node in hierarchy.children if not len(node)])
-    assert max(len(tile.triangles) for tile in parts) <= 50
+    sizes = [(tmp_path / "out" / tile.tree["content"]["uri"]).stat().st_size for tile in parts]
+    assert limit / 2 < np.median(sizes) <= max(sizes) <= limit
     assert len(written.sizes) == len(list(root.all()))
     assert_same_topology(weld_tiles(parts), original)
     for _ in range(50):
