@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scanloom.stages.cleaning.check import check
 from scanloom.stages.cleaning.codes import CLEAN_SOLID_INCOMPLETE
 from scanloom.stages.cleaning.solids.attributes import transfer_attributes
-from scanloom.stages.cleaning.solids.booleans import require_manifold3d
+from scanloom.stages.cleaning.solids.booleans import require_manifold3d, trim_by_plane
 from scanloom.stages.cleaning.solids.border_closing import BasePlane, ClosingCounts, close_borders
 from scanloom.stages.cleaning.solids.self_intersections import (
     MAX_LOST_RATIO,
@@ -121,6 +121,9 @@ def make_solid(
     # A grid must resolve walls.
     cell_size = 2 * limit if closing.thickened_sheets == 0 else min(2 * limit, wall / 2)
     shell, method = resolve_intersections(orient_components(closed), edge_length, cell_size)
+    if base_plane is not None:
+        # A rebuilt surface is not exact, and would reach below the plane.
+        shell = trim_by_plane(shell, base_plane.normal, base_plane.offset_m)
     _report_unsound(shell)
     lost = measure_lost_ratio(given, shell, edge_length)
     if lost > MAX_LOST_RATIO:

@@ -119,6 +119,14 @@ def _report_division(divided: DividedScan) -> None:
                     count=one.stacked,
                 )
             )
+        if not one.is_sound:
+            emit(
+                EXPORT_OBJECT_CLOSED.warning(
+                    "object_{number}: the closed surface touches itself or lacks a part of the scan, so the "
+                    "mass is approximate",
+                    number=number,
+                )
+            )
     if divided.objects:
         emit(
             EXPORT_OBJECT_CLOSED.warning(

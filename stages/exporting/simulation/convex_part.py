@@ -19,7 +19,7 @@ _MIN_THICKNESS_RATIO = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
-class Box:
+class OrientedBox:
     """Oriented box.
 
     Attributes
@@ -49,7 +49,7 @@ class ConvexPart:
     vertices: Floats
     triangles: NDArray[np.int32]
     planes: Floats
-    box: Box | None = None
+    box: OrientedBox | None = None
 
     @property
     def slack_m(self) -> float:
@@ -113,7 +113,7 @@ def build_box(points: Floats, axes: Floats, depth_m: float) -> ConvexPart:
     low[2] -= depth_m
     # Larger than rounding errors, so that the box contains the points.
     margin = 10 * _ROUNDING_RATIO * float(np.abs(points).max())
-    box = Box((low + high) / 2 @ axes, axes, (high - low) / 2 + margin)
+    box = OrientedBox((low + high) / 2 @ axes, axes, (high - low) / 2 + margin)
     signs = np.array(list(product((-1, 1), repeat=3)))
     part = build_part(box.center + signs * box.half_sizes @ axes)
     return replace(part, box=box)

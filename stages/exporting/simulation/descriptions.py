@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scanloom.stages.exporting.simulation.body import BodyFiles, CollisionShape, VisualFile
-from scanloom.stages.exporting.simulation.convex_part import Box
+from scanloom.stages.exporting.simulation.convex_part import OrientedBox
 from scanloom.stages.exporting.simulation.mass import MassProperties
 from scanloom.stages.files.atomic_files import write_file_atomically
 from scanloom.stages.surface.up_direction import rotate_to_z
@@ -76,7 +76,7 @@ def _add_mjcf_shape(asset: Any, element: Any, shape: CollisionShape) -> None:
     Xml.SubElement(element, "geom", attributes)
 
 
-def _get_box(shape: CollisionShape) -> Box:
+def _get_box(shape: CollisionShape) -> OrientedBox:
     assert shape.part.box is not None
     return shape.part.box
 

@@ -24,10 +24,11 @@ from scanloom.stages.cleaning.solids.border_closing import (
     triangulate_base,
 )
 from scanloom.stages.cleaning.solids.shell import Shell, join_shells
+from scanloom.stages.diagnostics.collector import collecting
 from scanloom.stages.diagnostics.errors import MeshError
 from scanloom.stages.exporting.simulation.convex_part import build_outline
 from scanloom.stages.exporting.simulation.plane_cut import cut_along_plane
-from scanloom.stages.exporting.simulation.support_planes import SupportPlane, find_support_planes
+from scanloom.stages.exporting.simulation.support_planes import LevelPlane, find_support_planes
 from scanloom.stages.surface.edges import Ids, build_edges, label_components
 from scanloom.stages.surface.hole_filling import trace_border_loops
 from scanloom.stages.surface.mesh import Mesh
@@ -64,14 +65,16 @@ class ScannedObject:
     volume_m3 : enclosed volume.
     added_ratio : area of added surface, relative to the area of the closed surface.
     stacked : number of components that stand on a level face of the object.
+    is_sound : the closed surface does not intersect itself, and contains all of the scanned surface.
     """
 
     mesh: Mesh
-    plane: SupportPlane
+    plane: LevelPlane
     bottom_m: float
     volume_m3: float
     added_ratio: float
     stacked: int
+    is_sound: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,7 +94,7 @@ class DividedScan:
 
     objects: tuple[ScannedObject, ...]
     rest: Mesh
-    planes: tuple[SupportPlane, ...]
+    planes: tuple[LevelPlane, ...]
     crumbs: int
     sheets: int
     furniture: int
@@ -134,7 +137,7 @@ def divide_scan(mesh: Mesh) -> DividedScan:
 class _PlaneDivision:
     """Objects on one plane; see `DividedScan`."""
 
-    plane: SupportPlane
+    plane: LevelPlane
     rest: Mesh
     objects: list[ScannedObject] = field(default_factory=list)
     crumbs: int = 0
@@ -164,7 +167,7 @@ class _CutMesh:
 
 
 def _divide_at_plane(
-    mesh: Mesh, plane: SupportPlane, others: Sequence[SupportPlane], lift_m: float
+    mesh: Mesh, plane: LevelPlane, others: Sequence[LevelPlane], lift_m: float
 ) -> _PlaneDivision:
     cut = _cut_above(mesh, plane)
     shell, division = cut.shell, _PlaneDivision(plane, mesh)
@@ -197,7 +200,7 @@ def _divide_at_plane(
     return division
 
 
-def _cut_above(mesh: Mesh, plane: SupportPlane) -> _CutMesh:
+def _cut_above(mesh: Mesh, plane: LevelPlane) -> _CutMesh:
     """Cut the surface that is connected to a plane at the height of its reach."""
     heights = plane.measure_heights(mesh.vertices)
     above = heights - plane.reach_m
@@ -231,7 +234,7 @@ def _list_components(cut: _CutMesh) -> Iterator[Mask]:
         yield component == label
 
 
-def _is_above(cut: _CutMesh, used: Ids, contact: Ids, plane: SupportPlane) -> bool:
+def _is_above(cut: _CutMesh, used: Ids, contact: Ids, plane: LevelPlane) -> bool:
     """Return True if a component starts at the cut, or hovers closely above the plane."""
     if len(contact):
         return bool(cut.on_cut[contact].all() and cut.heights[used].min() > 0)
@@ -243,7 +246,7 @@ def _is_above(cut: _CutMesh, used: Ids, contact: Ids, plane: SupportPlane) -> bo
     return bool((points @ outline[:, :2].T + outline[:, 2] <= 0).all())
 
 
-def _contains(shell: Shell, chosen: Mask, mesh: Mesh, plane: SupportPlane) -> bool:
+def _contains(shell: Shell, chosen: Mask, mesh: Mesh, plane: LevelPlane) -> bool:
     """Return True if chosen triangles have a good part of another plane's surface."""
     own = chosen & plane.triangles[shell.source]
     area = float(compute_areas(shell.vertices, shell.triangles[own]).sum())
@@ -251,7 +254,7 @@ def _contains(shell: Shell, chosen: Mask, mesh: Mesh, plane: SupportPlane) -> bo
     return area >= _MIN_FURNITURE_RATIO * total
 
 
-def _close_object(part: Mesh, plane: SupportPlane, lift_m: float) -> tuple[ScannedObject, list[Shell]] | None:
+def _close_object(part: Mesh, plane: LevelPlane, lift_m: float) -> tuple[ScannedObject, list[Shell]] | None:
     """Close a component by the plane; return the object and the surface of the plane below the object.
 
     None for a component that encloses no volume.
@@ -262,7 +265,8 @@ def _close_object(part: Mesh, plane: SupportPlane, lift_m: float) -> tuple[Scann
     gap = float(plane.measure_heights(part.vertices).min())
     base_plane = BasePlane(plane.normal, plane.offset_m + lift_m, gap + plane.reach_m / 2)
     try:
-        solid = make_solid(part, 0.0, None, base_plane)
+        with collecting(forward=False) as defects:
+            solid = make_solid(part, 0.0, None, base_plane)
     except MeshError as error:
         if error.diagnostic.code != CLEAN_NOT_SOLID.name:
             raise
@@ -275,6 +279,7 @@ def _close_object(part: Mesh, plane: SupportPlane, lift_m: float) -> tuple[Scann
         volume_m3=solid.result.volume_m3,
         added_ratio=solid.result.added_area_m2 / area,
         stacked=_count_stacked(solid.mesh),
+        is_sound=not defects,
     )
     edge_length = float(np.median(np.linalg.norm(np.diff(part.vertices[edges.ends], axis=1), axis=2)))
     caps = []
@@ -302,12 +307,20 @@ def _count_stacked(closed: Mesh) -> int:
             part = cut.shell.select(chosen).mesh
             loops, _ = trace_border_loops(part, build_edges(part.triangles, len(part.vertices)))
             base = BasePlane(plane.normal, plane.offset_m, 1.5 * plane.reach_m)
-            count += bool(select_base_loops(part, loops, base)[0])
+            bases = select_base_loops(part, loops, base)[0]
+            area = sum(_measure_area(part.vertices[own[0], :2]) for own, _, _ in bases)
+            # A small level spot of a round object carries nothing.
+            count += 0 < area <= plane.area_m2
     return count
 
 
+def _measure_area(polygon: Floats) -> float:
+    x, y = polygon.T
+    return abs(float(x @ np.roll(y, -1) - y @ np.roll(x, -1))) / 2
+
+
 def _close_plane(
-    mesh: Mesh, cut: _CutMesh, plane: SupportPlane, is_kept: Mask, caps: Sequence[Shell]
+    mesh: Mesh, cut: _CutMesh, plane: LevelPlane, is_kept: Mask, caps: Sequence[Shell]
 ) -> tuple[Mesh, float]:
     """Flatten a plane and close it below its objects.
 

@@ -25,7 +25,7 @@ _MIN_AREA_RATIO, _MIN_AREA_M2 = 0.15, 0.25
 
 
 @dataclass(frozen=True, eq=False)
-class SupportPlane:
+class LevelPlane:
     """Level plane of a scan.
 
     Attributes
@@ -48,19 +48,19 @@ class SupportPlane:
         """Return the signed distance (n,) of points from the plane; positive above."""
         return np.asarray(points @ self.normal - self.offset_m)
 
-    def is_same(self, other: SupportPlane) -> bool:
+    def is_same(self, other: LevelPlane) -> bool:
         """Return True if both planes have about the same height."""
         return abs(self.offset_m - other.offset_m) <= max(self.reach_m, other.reach_m)
 
 
-def find_support_planes(mesh: Mesh) -> list[SupportPlane]:
+def find_support_planes(mesh: Mesh) -> list[LevelPlane]:
     """Find the large level planes of a z-up mesh, the largest first.
 
     Coplanar patches, such as a table top on both sides of an object, are one plane.
     """
     patches = planar_patches(Mesh(mesh.vertices, mesh.triangles))
     pending = np.flatnonzero(patches.normals[:, 2] >= _MIN_LEVEL_COSINE).tolist()
-    planes: list[SupportPlane] = []
+    planes: list[LevelPlane] = []
     min_reach = _MIN_REACH_RATIO * float(np.linalg.norm(np.ptp(mesh.vertices, axis=0)))
     while pending:
         first = pending[0]
@@ -73,6 +73,6 @@ def find_support_planes(mesh: Mesh) -> list[SupportPlane]:
         mean = patches.areas[own] @ patches.normals[own]
         mean = mean / np.linalg.norm(mean)
         offset = float(patches.areas[own] @ (patches.origins[own] @ mean) / area)
-        planes.append(SupportPlane(mean, offset, reach, np.isin(patches.triangle_patch, own), area))
+        planes.append(LevelPlane(mean, offset, reach, np.isin(patches.triangle_patch, own), area))
     limit = min(_MIN_AREA_RATIO * max((one.area_m2 for one in planes), default=0.0), _MIN_AREA_M2)
     return sorted((one for one in planes if one.area_m2 >= limit), key=lambda one: -one.area_m2)
