@@ -167,7 +167,7 @@ class PartSet:
         """List the parts that neither their bounding box nor a face plane separates from a part."""
         low, high = part.vertices.min(axis=0), part.vertices.max(axis=0)
         near = np.flatnonzero(((self._low < high) & (self._high > low)).all(axis=1))
-        return [self._parts[row] for row in near if measure_separation(self._parts[row], part) < 0]
+        return [self._parts[row] for row in near.tolist() if measure_separation(self._parts[row], part) < 0]
 
     def is_clear(self, part: ConvexPart) -> bool:
         """Return True if a part touches none of the set."""
