@@ -58,6 +58,8 @@ _BACKING_RATIO = 0.2
 # on their thickness is a share of the permitted excess, and a ratio of the bounding-box diagonal.
 _MIN_PATCH_SIDES = 4.0
 _PATCH_RATIO, _MAX_PATCH_RATIO = 0.5, 0.005
+# Size of a group of pieces that is not divided, as a ratio of the permitted excess.
+_MIN_GROUP_RATIO = 0.25
 # Parts that need more corners than MAX_CORNERS are halved, at most so often.
 _MAX_HALVINGS = 4
 # Step of written coordinates, as a ratio of the bounding-box diagonal.
@@ -154,15 +156,14 @@ class _SlabSearch:
         return boxes, rest
 
     def divide(self, pending: list[Floats], build: _Builder, axes: Floats | None = None) -> list[Floats]:
-        """Halve groups of pieces until each hull is accepted or is as small as the permitted excess."""
+        """Halve groups of pieces until each hull is accepted, or small: an obstacle can be on the surface."""
         done: list[Floats] = []
         while pending:
             accepted = self._accept([build(one) for one in pending])
             divided: list[Floats] = []
             for pieces, is_accepted in zip(pending, accepted, strict=True):
-                if is_accepted or (
-                    len(pieces) == 1 and measure_longest_sides(pieces)[0] <= self._max_excess_m
-                ):
+                corners = pieces.reshape(-1, 3)
+                if is_accepted or measure_diagonal(corners) <= _MIN_GROUP_RATIO * self._max_excess_m:
                     done.append(pieces)
                 else:
                     divided += _divide_pieces(pieces, axes)
@@ -415,7 +416,9 @@ def choose_corners(part: ConvexPart, center: Floats, max_growth_m: float) -> tup
 
 def _make_volume(points: Floats, chosen: list[int]) -> list[int]:
     """Add points until the chosen ones span a volume."""
-    while len(chosen) < 4 or np.linalg.matrix_rank(points[chosen] - points[chosen[0]]) < 3:
+    # The default tolerance takes rounding errors of four coplanar points for a volume.
+    tolerance = 1e-9 * float(np.ptp(points, axis=0).max())
+    while len(chosen) < 4 or np.linalg.matrix_rank(points[chosen] - points[chosen[0]], tolerance) < 3:
         basis = points[chosen] - points[chosen[0]]
         _, sizes, axes = np.linalg.svd(basis)
         spanned = axes[: int((sizes > 1e-9 * max(sizes[0], 1e-300)).sum())]

@@ -28,6 +28,7 @@ from scanloom import Image, Material, Mesh, Texture, export_simulation
 from scanloom.stages.diagnostics.collector import collecting
 from scanloom.stages.exporting.simulation.body import Body
 from scanloom.stages.exporting.simulation.body_plan import plan_bodies
+from scanloom.stages.exporting.simulation.collision_proof import prove_collision
 from scanloom.stages.exporting.simulation.convex_part import (
     PartSet,
     build_box,
@@ -35,7 +36,7 @@ from scanloom.stages.exporting.simulation.convex_part import (
     fit_rectangle,
     measure_separation,
 )
-from scanloom.stages.exporting.simulation.decomposition import MAX_CORNERS
+from scanloom.stages.exporting.simulation.decomposition import MAX_CORNERS, decompose_surface
 from scanloom.stages.exporting.simulation.export_simulation import SimulationResult
 from scanloom.stages.exporting.simulation.object_splitting import DividedScan, divide_scan
 from scanloom.stages.exporting.simulation.overlaps import find_overlaps
@@ -337,3 +338,17 @@ def test_separation_of_parts() -> None:
     overlapping = build_part(first.vertices + np.array([0.9, 0.5, 0]))
     assert measure_separation(first, overlapping) == pytest.approx(-0.1)
     assert PartSet([second, overlapping]).list_touching(first) == [overlapping]
+
+
+def test_a_surface_avoids_obstacles_and_ends_at_those_on_it() -> None:
+    mesh = scan_table([], 0.1)
+    above = build_box(np.array([(0.0, 0.0, 0.001), (0.2, 0.1, 0.2)]), np.eye(3), 0.0)
+    crossing = build_box(np.array([(-0.3, -0.2, -0.01), (-0.28, -0.18, 0.2)]), np.eye(3), 0.0)
+    obstacles = PartSet([above, crossing])
+    parts = decompose_surface(mesh, 0.04, obstacles)
+    assert prove_collision(mesh, parts, is_solid=False, resolution_m=0.02).gap_m == 0
+    touching = [part for part in parts if not obstacles.is_clear(part)]
+    # Only next to the obstacle that the surface crosses.
+    assert 0 < len(touching) < len(parts) < 200
+    corners = np.concatenate([part.vertices for part in touching])
+    assert np.abs(corners[:, :2] - (-0.29, -0.19)).max() < 0.05
