@@ -53,7 +53,8 @@ def export(
 
     glTF and USD files are upright; meshes in other formats can be rotated, scaled and set on the floor.
     --preset print also reports why a mesh is not watertight, with exit code 1. --preset sim writes a folder
-    with USD, MJCF, URDF and SDF models and convex collision parts whose error is proven.
+    with USD, MJCF, URDF and SDF models and convex collision parts whose error is proven; --split objects
+    makes one body for each object on a floor or table.
 
     Example: scanloom export out/textured.glb web.glb --preset web
     """
@@ -101,5 +102,10 @@ def _export_simulation(
         written = stages.export_simulation(mesh, target, SimulationParams(**simulation), progress=progress)
     parts = sum(len(body.parts) for body in written.bodies)
     excess = 1000 * max(body.proof.excess_m for body in written.bodies)
-    out.remark(f"{target}: {parts:,} collision parts, at most {excess:.3g} mm outside the surface")
+    gap = 1000 * max(body.proof.gap_m for body in written.bodies)
+    bodies = f"{len(written.bodies):,} bodies, " if len(written.bodies) > 1 else ""
+    inside = f", and at most {gap:.3g} mm inside" if gap > 0 else ""
+    out.remark(
+        f"{target}: {bodies}{parts:,} collision parts, at most {excess:.3g} mm outside the surface{inside}"
+    )
     out.result({**written.to_dict(), "output": str(target)})

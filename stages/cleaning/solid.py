@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from scanloom.stages.cleaning.check import check
 from scanloom.stages.cleaning.codes import CLEAN_SOLID_INCOMPLETE
 from scanloom.stages.cleaning.solids.attributes import transfer_attributes
-from scanloom.stages.cleaning.solids.booleans import require_manifold3d
-from scanloom.stages.cleaning.solids.border_closing import ClosingCounts, close_borders
+from scanloom.stages.cleaning.solids.booleans import require_manifold3d, trim_by_plane
+from scanloom.stages.cleaning.solids.border_closing import BasePlane, ClosingCounts, close_borders
 from scanloom.stages.cleaning.solids.self_intersections import (
     MAX_LOST_RATIO,
     find_unsound,
@@ -92,7 +92,9 @@ class SolidMesh:
     result: SolidResult
 
 
-def make_solid(given: Mesh, wall: float, max_shape: float | None) -> SolidMesh:
+def make_solid(
+    given: Mesh, wall: float, max_shape: float | None, base_plane: BasePlane | None = None
+) -> SolidMesh:
     """Make an oriented manifold solid.
 
     Parameters
@@ -101,6 +103,7 @@ def make_solid(given: Mesh, wall: float, max_shape: float | None) -> SolidMesh:
     wall : thickness of walls behind open sheets, metres; 0 to refuse sheets.
     max_shape : maximum distance by which self-intersecting surface may move, metres; None for half the median
         edge length.
+    base_plane : plane on which the object stood; None to fit a plane to the borders.
 
     Raises
     ------
@@ -114,10 +117,13 @@ def make_solid(given: Mesh, wall: float, max_shape: float | None) -> SolidMesh:
     lengths = np.linalg.norm(np.diff(given.vertices[edges.ends], axis=1)[:, 0], axis=1)
     edge_length = float(np.median(lengths))
     limit = _MAX_SHAPE_RATIO * edge_length if max_shape is None else max_shape
-    closed, closing = close_borders(given, wall, edge_length)
+    closed, closing = close_borders(given, wall, edge_length, base_plane)
     # A grid must resolve walls.
     cell_size = 2 * limit if closing.thickened_sheets == 0 else min(2 * limit, wall / 2)
     shell, method = resolve_intersections(orient_components(closed), edge_length, cell_size)
+    if base_plane is not None:
+        # A rebuilt surface is not exact, and would reach below the plane.
+        shell = trim_by_plane(shell, base_plane.normal, base_plane.offset_m)
     _report_unsound(shell)
     lost = measure_lost_ratio(given, shell, edge_length)
     if lost > MAX_LOST_RATIO:

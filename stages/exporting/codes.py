@@ -55,7 +55,9 @@ EXPORT_COLLISION_LOOSE = Code(
     """
 The proven distance by which the collision parts exceed the object, or by which they fail to contain its
 surface, is above the limit. `simulation.json` has the bound of each part. With `simulation.max_excess` given,
-this is an unmet requirement. Small details need many parts: allow more excess, or smooth the mesh.
+this is an unmet requirement. Small details need many parts: allow more excess, or smooth the mesh. With
+`simulation.collision=inside`, the limit applies to the distance of the surface from the parts; surface of
+parts thinner than the limit can be farther.
 """,
     "model: the collision geometry reaches up to 3.2 mm outside the surface (limit 2 mm) in 4 of 61 parts.",
 )
@@ -77,6 +79,52 @@ Holes of an object are closed by flat caps, which take part in mass and collisio
 open. The surface below a cap was not scanned.
 """,
     "model: holes are closed with 3.1 % of additional surface for mass and collision.",
+)
+EXPORT_NO_OBJECTS = Code(
+    "export.no-objects",
+    "Scans without separate objects",
+    """
+A warning. `--split objects` makes bodies of what stands on a level floor or table. A plane counts if it has
+0.25 m² or 15 % of the area of the largest level plane. A component above a plane is an object if it encloses
+a volume when it is closed by the plane, and if it touches nothing else. Walls, furniture that carries another
+plane, and objects that lean on other surfaces stay in the static body. Without a known up direction, set
+`--up`.
+""",
+    "the scan has no level floor or table, so it is one static body; crop the scan to a table or floor.",
+)
+EXPORT_NOT_SPLIT = Code(
+    "export.not-split",
+    "Components that are no bodies of their own",
+    """
+Components on a plane that are too small, enclose no volume, or are attached to other surfaces stay in the
+static body. An object that stands on another object, and not on a floor or table, is part of that object.
+""",
+    "4 objects are bodies; other components on their planes stay static: 14 too small.",
+)
+EXPORT_OBJECT_CLOSED = Code(
+    "export.object-closed",
+    "Objects closed on the plane where they stood",
+    """
+A warning. The lower side of an object was not scanned. The object is cut slightly above the plane, continued
+vertically to the plane, and closed. Unseen sides are continued in the same way. The material `added` marks
+this surface if the mesh has a texture. The plane is flattened, so that objects rest on it without overlap.
+""",
+    (
+        "objects are closed on the plane where they stood; 42% to 55% of their surface is added. The plane "
+        "is flattened by up to 4.2 mm."
+    ),
+)
+EXPORT_BODIES_OVERLAP = Code(
+    "export.bodies-overlap",
+    "Bodies that overlap at the start",
+    """
+A warning. Collision parts are larger than their object by up to `simulation.max_excess`, so that close bodies
+can overlap. A simulator pushes them apart. `simulation.json` lists the bodies.
+""",
+    (
+        "object_1 and object_3 overlap at the start, by at most 0.8 mm, in 2 pairs of collision parts; set "
+        "`max_excess` lower."
+    ),
 )
 EXPORT_COLLISION_LARGE = Code(
     "export.collision-large",

@@ -448,6 +448,8 @@ class SimulationKeywords(TypedDict, total=False):
     """Fields of `SimulationParams`."""
 
     density: float
+    split: str
+    collision: str
     max_excess: float | None
 
 

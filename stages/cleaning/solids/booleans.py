@@ -5,12 +5,15 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from scanloom.stages.cleaning.solids.shell import Shell
 from scanloom.stages.diagnostics.errors import UsageError
 from scanloom.stages.surface.codes import MACHINE_EXTRA_MISSING
 from scanloom.stages.surface.edges import Ids
 
+# Rounding of the base of an object, as a ratio of its size.
+_TRIM_TOLERANCE = 1e-9
 # First face id of triangles without a source; the library stores face ids in 32 bits.
 _NO_SOURCE = 2**30
 
@@ -45,6 +48,17 @@ def to_manifold(shell: Shell) -> Any:
             face_id=own.astype(np.uint64),
         )
     )
+
+
+def trim_by_plane(shell: Shell, normal: NDArray[np.float64], offset: float) -> Shell:
+    """Cut off what is below the plane of the points x with normal · x = offset."""
+    tolerance = _TRIM_TOLERANCE * float(np.ptp(shell.vertices))
+    if float((shell.vertices @ normal).min()) >= offset - tolerance:
+        return shell
+    trimmed = from_manifold(to_manifold(shell).trim_by_plane(normal.tolist(), offset))
+    # The library gives the cut the id of some triangle.
+    is_cut = (trimmed.vertices @ normal)[trimmed.triangles].max(axis=1) <= offset + tolerance
+    return Shell(trimmed.vertices, trimmed.triangles, np.where(is_cut, -1, trimmed.source))
 
 
 def from_manifold(manifold: Any) -> Shell:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scanloom.stages.cleaning.codes import CLEAN_NOT_SOLID
+from scanloom.stages.cleaning.solids.booleans import require_manifold3d
 from scanloom.stages.cleaning.solids.shell import Shell, compute_volumes
 from scanloom.stages.diagnostics.errors import MeshError
 from scanloom.stages.surface.cap_fairing import fair
@@ -61,13 +62,32 @@ class ClosingCounts:
     thickened_sheets: int
 
 
-def close_borders(mesh: Mesh, wall: float, edge_length: float) -> tuple[Shell, ClosingCounts]:
+@dataclass(frozen=True, eq=False)
+class BasePlane:
+    """Known plane on which an object stood.
+
+    Attributes
+    ----------
+    normal : (3,) unit normal that points to the object.
+    offset_m : dot product of the normal and the points of the plane.
+    reach_m : a border is closed on the plane if one of its vertices is within this height above the plane.
+    """
+
+    normal: NDArray[np.float64]
+    offset_m: float
+    reach_m: float
+
+
+def close_borders(
+    mesh: Mesh, wall: float, edge_length: float, base_plane: BasePlane | None = None
+) -> tuple[Shell, ClosingCounts]:
     """Close all borders of an oriented manifold.
 
     Parameters
     ----------
     wall : thickness of walls that are made of sheets, metres; 0 to refuse sheets.
     edge_length : edge length of caps, metres.
+    base_plane : plane on which the object stood; None to fit a plane to the borders.
 
     Raises
     ------
@@ -81,10 +101,16 @@ def close_borders(mesh: Mesh, wall: float, edge_length: float) -> tuple[Shell, C
         return shell, ClosingCounts(0, 0, 0)
     count, labels = label_components(len(mesh.vertices), edges.ends[:, 0], edges.ends[:, 1])
     gap = max(_BASE_GAP * edge_length, wall)
-    base, capped = _split_base_loops(mesh, loops, labels)
-    closures = [
-        (loop, *_make_base(mesh.vertices[loop], normal, offset + gap, edge_length))
-        for loop, normal, offset in base
+    if base_plane is None:
+        base, capped = _split_base_loops(mesh, loops, labels)
+    else:
+        base, capped, gap = *select_base_loops(mesh, loops, base_plane), 0.0
+    closures: list[_Closure] = [
+        (
+            np.concatenate(own),
+            *_make_base([mesh.vertices[loop] for loop in own], normal, offset + gap, edge_length),
+        )
+        for own, normal, offset in base
     ]
     closures += [(loop, *_make_cone(mesh.vertices[loop])) for loop in capped]
     sheets = _find_sheets(mesh, closures, labels, count)
@@ -120,6 +146,8 @@ def close_borders(mesh: Mesh, wall: float, edge_length: float) -> tuple[Shell, C
 
 
 _Closure = tuple[Ids, Vertices, Triangles]
+# Borders that a base joins, the outer one first, and the normal and the offset of its plane.
+_Base = tuple[list[Ids], NDArray[np.float64], float]
 
 
 def _find_sheets(mesh: Mesh, closures: Sequence[_Closure], labels: Ids, count: int) -> NDArray[np.bool_]:
@@ -224,9 +252,7 @@ def _compute_offsets(mesh: Mesh, points: Vertices, triangles: Ids, wall: float) 
     return np.asarray(np.minimum(lengths, _MAX_FREE_RATIO * free)[:, None] * directions)
 
 
-def _split_base_loops(
-    mesh: Mesh, loops: Sequence[Ids], labels: Ids
-) -> tuple[list[tuple[Ids, NDArray[np.float64], float]], list[Ids]]:
+def _split_base_loops(mesh: Mesh, loops: Sequence[Ids], labels: Ids) -> tuple[list[_Base], list[Ids]]:
     """Split borders into those on which an object stood, with their planes, and all others.
 
     A plane is given by its outward normal and the offset along the normal.
@@ -251,10 +277,49 @@ def _split_base_loops(
                 <= _MAX_RIM_HEIGHT_RATIO * height
             )
             if is_base:
-                base.append((loop, normal, offset))
+                base.append(([loop], normal, offset))
             else:
                 others.append(loop)
     return base, others
+
+
+def select_base_loops(mesh: Mesh, loops: Sequence[Ids], plane: BasePlane) -> tuple[list[_Base], list[Ids]]:
+    """Split borders into those on a known plane, with the plane, and all others.
+
+    A border that leaves the plane, as at the unseen back of an object, is continued vertically to the plane.
+    A border around a hole of an object, such as a ring, belongs to the base of the border around it.
+    """
+    outer: list[list[Ids]] = []
+    inner: list[Ids] = []
+    others: list[Ids] = []
+    across = np.linalg.svd(plane.normal[None])[2][1:].T
+    for loop in loops:
+        points = mesh.vertices[loop]
+        heights = points @ plane.normal - plane.offset_m
+        if heights.min() > plane.reach_m:
+            others.append(loop)
+        elif _compute_area_vector(points) @ plane.normal < 0:
+            outer.append([loop])
+        else:
+            inner.append(loop)
+    areas = [abs(_compute_area_vector(mesh.vertices[own[0]]) @ plane.normal) for own in outer]
+    for loop in inner:
+        point = mesh.vertices[loop[0]] @ across
+        around = [row for row, own in enumerate(outer) if _contains(mesh.vertices[own[0]] @ across, point)]
+        if around:
+            outer[min(around, key=lambda row: areas[row])].append(loop)
+        else:
+            others.append(loop)
+    return [(own, -plane.normal, -plane.offset_m) for own in outer], others
+
+
+def _contains(polygon: NDArray[np.float64], point: NDArray[np.float64]) -> bool:
+    """Return True if a polygon (k, 2) winds around a point, by counting crossings of a ray."""
+    start, end = polygon - point, np.roll(polygon, -1, axis=0) - point
+    crosses = (start[:, 1] > 0) != (end[:, 1] > 0)
+    start, end = start[crosses], end[crosses]
+    x = start[:, 0] - start[:, 1] * (end[:, 0] - start[:, 0]) / (end[:, 1] - start[:, 1])
+    return bool(np.count_nonzero(x > 0) % 2)
 
 
 def _compute_area_vector(points: Vertices) -> NDArray[np.float64]:
@@ -269,20 +334,46 @@ def _fit_plane_normal(points: Vertices, direction: NDArray[np.float64]) -> NDArr
 
 
 def _make_base(
-    rim: Vertices, normal: NDArray[np.float64], offset: float, edge_length: float
+    rims: Sequence[Vertices], normal: NDArray[np.float64], offset: float, edge_length: float
 ) -> tuple[Vertices, Triangles]:
-    """Return the vertices of a base, and its triangles as positions in the rim and these vertices.
+    """Return the vertices of a base, and its triangles as positions in the rims and these vertices.
 
-    The base is the projection of the rim on the plane, joined to the rim by a wall.
+    The base is the projection of the rims on the plane, joined to each rim by a wall.
     """
-    count = len(rim)
-    points = rim + (offset - rim @ normal)[:, None] * normal
-    here, ahead = np.arange(count), np.roll(np.arange(count), -1)
-    wall = [
-        np.stack([here, ahead, ahead + count], axis=1),
-        np.stack([here, ahead + count, here + count], axis=1),
-    ]
-    added, bottom = _triangulate_loop(points)
+    points, bottom = triangulate_base(rims, normal, offset, edge_length)
+    sizes = [len(rim) for rim in rims]
+    count = sum(sizes)
+    walls = []
+    for start, size in zip(np.cumsum([0, *sizes]).tolist(), sizes, strict=False):
+        here = start + np.arange(size)
+        ahead = np.roll(here, -1)
+        walls += [
+            np.stack([here, ahead, ahead + count], axis=1),
+            np.stack([here, ahead + count, here + count], axis=1),
+        ]
+    return points, np.concatenate([*walls, bottom + count]).astype(np.int32)
+
+
+def triangulate_base(
+    rims: Sequence[Vertices], normal: NDArray[np.float64], offset: float, edge_length: float
+) -> tuple[Vertices, Triangles]:
+    """Triangulate the projection of rims on a plane; all but the first are around holes.
+
+    Returns
+    -------
+    Points on the plane, first those of the rims in order; triangles as positions in the points.
+    """
+    points = project_on_plane(np.concatenate(rims), normal, offset)
+    count = len(points)
+    if len(rims) == 1:
+        added, bottom = _triangulate_loop(points)
+    else:
+        across = np.linalg.svd(normal[None])[2][1:]
+        if np.linalg.det(np.concatenate([across, normal[None]])) < 0:
+            across = across[::-1]
+        flat = np.split(points @ across.T, np.cumsum([len(rim) for rim in rims])[:-1])
+        added = np.zeros((0, 3))
+        bottom = np.asarray(require_manifold3d().triangulate(flat)).astype(np.int32)
     # Small triangles keep the repair of a base that intersects itself local.
     bottom_mesh = remesh_caps(
         CapMesh(
@@ -295,7 +386,12 @@ def _make_base(
         np.array([_BASE_EDGES * edge_length]),
         np.zeros((0, 2), np.int64),
     )
-    return bottom_mesh.points, np.concatenate([*wall, bottom_mesh.triangles + count]).astype(np.int32)
+    return bottom_mesh.points, bottom_mesh.triangles
+
+
+def project_on_plane(points: Vertices, normal: NDArray[np.float64], offset: float) -> Vertices:
+    """Project points (n, 3) on the plane of the points x with normal · x = offset."""
+    return np.asarray(points + (offset - points @ normal)[:, None] * normal)
 
 
 def _triangulate_loop(points: Vertices, taken: Ids | None = None) -> tuple[Vertices, Triangles]:

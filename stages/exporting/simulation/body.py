@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from scanloom.stages.exporting.simulation.collision_proof import CollisionProof
 from scanloom.stages.exporting.simulation.convex_part import ConvexPart
@@ -23,6 +24,29 @@ _MIN_VERTICES = 4
 
 
 @dataclass(frozen=True, eq=False)
+class HalfSpace:
+    """Space below a floor, in the axes of a body.
+
+    Attributes
+    ----------
+    normal : (3,) unit normal, out of the half-space.
+    offset_m : dot product of the normal and the points of the boundary.
+    """
+
+    normal: NDArray[np.float64]
+    offset_m: float
+
+    @property
+    def point(self) -> NDArray[np.float64]:
+        """Point (3,) of the boundary."""
+        return self.offset_m * self.normal
+
+    def contains(self, part: ConvexPart) -> bool:
+        """Return True if a part is inside, up to rounding."""
+        return float((part.vertices @ self.normal).max()) <= self.offset_m + 1e3 * part.slack_m
+
+
+@dataclass(frozen=True, eq=False)
 class Body:
     """A rigid body, z-up, in metres.
 
@@ -35,6 +59,10 @@ class Body:
     is_static : the body does not move.
     proof : proven bounds of the collision parts.
     cap_ratio : area of surface that was added to close the body, relative to the scanned surface.
+    is_open : the surface encloses no volume.
+    added_ratio : area of the visual mesh that was added to complete an object, relative to all of it.
+    position : (3,) origin of the body in the model; all other attributes are relative to it.
+    floor : half-space below a floor; formats with half-spaces have it instead of the parts inside of it.
     """
 
     name: str
@@ -44,6 +72,10 @@ class Body:
     is_static: bool
     proof: CollisionProof
     cap_ratio: float
+    is_open: bool = False
+    added_ratio: float = 0.0
+    position: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    floor: HalfSpace | None = None
 
     def to_dict(self) -> dict[str, Any]:
         """Return the statistics of the body as JSON-compatible values."""
@@ -51,10 +83,14 @@ class Body:
             "name": self.name,
             "is_static": self.is_static,
             "triangles": len(self.visual.triangles),
+            "position_m": list(self.position),
             "collision_parts": len(self.parts),
+            "boxes": sum(part.box is not None for part in self.parts),
+            "has_floor": self.floor is not None,
             "collision_corners": sum(len(part.vertices) for part in self.parts),
             **self.proof.to_dict(),
             "cap_ratio": self.cap_ratio,
+            "added_ratio": self.added_ratio,
             **self.mass.to_dict(),
         }
 
@@ -74,6 +110,24 @@ class VisualFile:
 
 
 @dataclass(frozen=True, eq=False)
+class CollisionShape:
+    """Collision part with its file.
+
+    Attributes
+    ----------
+    name : unique name.
+    file : path relative to the folder of the model; None for a box.
+    part : the part.
+    is_floor : the part is inside of the half-space of the body.
+    """
+
+    name: str
+    file: str | None
+    part: ConvexPart
+    is_floor: bool
+
+
+@dataclass(frozen=True, eq=False)
 class BodyFiles:
     """Mesh files of a body, relative to the folder of the model.
 
@@ -81,13 +135,13 @@ class BodyFiles:
     ----------
     body : the body.
     visuals : one file per material, because MJCF has one material per mesh.
-    collisions : one file per convex part.
+    collisions : one per convex part; boxes have no file.
     visual_bytes, collision_bytes : sizes of the meshes without images.
     """
 
     body: Body
     visuals: tuple[VisualFile, ...]
-    collisions: tuple[str, ...]
+    collisions: tuple[CollisionShape, ...]
     visual_bytes: int
     collision_bytes: int
 
@@ -104,9 +158,12 @@ def write_body_meshes(folder: Path, body: Body) -> BodyFiles:
     width = len(str(len(body.parts) - 1))
     collisions = []
     for number, part in enumerate(body.parts):
-        file = f"{MESH_FOLDER}/{body.name}_collision{number:0{width}}.obj"
-        _write_part(folder / file, part)
-        collisions.append(file)
+        name = f"{body.name}_collision{number:0{width}}"
+        part_file = f"{MESH_FOLDER}/{name}.obj" if part.box is None else None
+        if part_file is not None:
+            _write_part(folder / part_file, part)
+        is_floor = body.floor is not None and body.floor.contains(part)
+        collisions.append(CollisionShape(name, part_file, part, is_floor))
 
     def measure(files: Sequence[str]) -> int:
         return sum((folder / file).stat().st_size for file in files)
@@ -116,7 +173,7 @@ def write_body_meshes(folder: Path, body: Body) -> BodyFiles:
         tuple(visuals),
         tuple(collisions),
         measure([one.file for one in visuals]),
-        measure(collisions),
+        measure([one.file for one in collisions if one.file is not None]),
     )
 
 

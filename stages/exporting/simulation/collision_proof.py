@@ -102,6 +102,12 @@ def prove_collision(
     )
 
 
+def prove_inside(surface: Mesh, parts: Sequence[ConvexPart]) -> CollisionProof:
+    """Bound the gap of convex parts that `carve_parts` has proven to be inside a surface."""
+    gap, attained, pieces = _bound_gap(surface, parts)
+    return CollisionProof(gap, 0.0, attained, 0.0, np.zeros(len(parts)), pieces)
+
+
 def measure_diagonal(points: Floats) -> float:
     """Return the length of the bounding-box diagonal of points."""
     return float(np.linalg.norm(np.ptp(points, axis=0)))

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,22 @@ _MIN_THICKNESS_RATIO = 1e-3
 
 
 @dataclass(frozen=True, eq=False)
+class OrientedBox:
+    """Oriented box.
+
+    Attributes
+    ----------
+    center : (3,) metres.
+    axes : (3, 3) orthogonal unit vectors in rows, right-handed.
+    half_sizes : (3,) half the extents along the axes, metres.
+    """
+
+    center: Floats
+    axes: Floats
+    half_sizes: Floats
+
+
+@dataclass(frozen=True, eq=False)
 class ConvexPart:
     """Convex hull with its faces and their half-spaces.
 
@@ -26,16 +43,24 @@ class ConvexPart:
     vertices : (k, 3) corners in metres.
     triangles : (f, 3) int32 faces, counter-clockwise seen from outside.
     planes : (f, 4) outward unit normals and offsets; a point x is inside where normal · x + offset ≤ 0.
+    box : the part as a box; None for other shapes.
     """
 
     vertices: Floats
     triangles: NDArray[np.int32]
     planes: Floats
+    box: OrientedBox | None = None
 
     @property
     def slack_m(self) -> float:
         """Rounding error of half-space tests."""
         return _ROUNDING_RATIO * float(np.abs(self.vertices).max())
+
+    def translate(self, offset: Floats) -> ConvexPart:
+        """Return a copy that is moved by an offset (3,); it is no box."""
+        planes = self.planes.copy()
+        planes[:, 3] -= planes[:, :3] @ offset
+        return ConvexPart(self.vertices + offset, self.triangles, planes)
 
     def compute_heights(self, points: Floats) -> Floats:
         """Compute the largest signed distance (n,) of points to the planes; negative inside."""
@@ -69,6 +94,86 @@ def build_part(points: Floats) -> ConvexPart:
     return ConvexPart(vertices, triangles, np.asarray(hull.equations, np.float64))
 
 
+def try_build_part(points: Floats) -> ConvexPart | None:
+    """Build the convex hull of points; None if it is flat or thinner than simulators accept."""
+    from scipy.spatial import QhullError
+
+    if len(points) < 4 or len(thicken_points(points)) > len(points):
+        return None
+    try:
+        return build_part(points)
+    except QhullError:
+        return None
+
+
+def build_box(points: Floats, axes: Floats, depth_m: float) -> ConvexPart:
+    """Build the box along given axes that contains points and extends by `depth_m` along the last axis."""
+    along = points @ axes.T
+    low, high = along.min(axis=0), along.max(axis=0)
+    low[2] -= depth_m
+    # Larger than rounding errors, so that the box contains the points.
+    margin = 10 * _ROUNDING_RATIO * float(np.abs(points).max())
+    box = OrientedBox((low + high) / 2 @ axes, axes, (high - low) / 2 + margin)
+    signs = np.array(list(product((-1, 1), repeat=3)))
+    part = build_part(box.center + signs * box.half_sizes @ axes)
+    return replace(part, box=box)
+
+
+def fit_rectangle(points: Floats, normal: Floats) -> Floats:
+    """Return the axes (3, 3) of the smallest rectangle around points; the normal is the last axis."""
+    first = np.linalg.svd(normal[None])[2][1]
+    across = np.stack([first, np.cross(normal, first)])
+    flat = points @ across.T
+    outline = build_outline(flat)
+    # One side of the smallest rectangle is on a side of the hull.
+    areas = [np.ptp(flat @ (x, y)) * np.ptp(flat @ (-y, x)) for x, y in outline[:, :2].tolist()]
+    x, y = outline[int(np.argmin(areas)), :2]
+    side = x * across[0] + y * across[1]
+    return np.stack([side, np.cross(normal, side), normal])
+
+
+def build_outline(points: Floats) -> Floats:
+    """Return the lines (k, 3) of the convex hull of 2-D points: outward unit normals and offsets."""
+    from scipy.spatial import ConvexHull
+
+    return np.asarray(ConvexHull(points).equations, np.float64)
+
+
+def measure_separation(first: ConvexPart, second: ConvexPart) -> float:
+    """Measure by how much a face plane of one of two parts separates them, metres.
+
+    The bodies are apart if the result is positive. The depth of an overlap is at most minus the result.
+    """
+    return max(
+        float((second.vertices @ first.planes[:, :3].T + first.planes[:, 3]).min(axis=0).max()),
+        float((first.vertices @ second.planes[:, :3].T + second.planes[:, 3]).min(axis=0).max()),
+    )
+
+
+class PartSet:
+    """Parts that are searched by bounding box.
+
+    Parameters
+    ----------
+    parts : parts in the axes of the query.
+    """
+
+    def __init__(self, parts: Sequence[ConvexPart]) -> None:
+        self._parts = parts
+        self._low = np.array([part.vertices.min(axis=0) for part in parts]).reshape(-1, 3)
+        self._high = np.array([part.vertices.max(axis=0) for part in parts]).reshape(-1, 3)
+
+    def list_touching(self, part: ConvexPart) -> list[ConvexPart]:
+        """List the parts that neither their bounding box nor a face plane separates from a part."""
+        low, high = part.vertices.min(axis=0), part.vertices.max(axis=0)
+        near = np.flatnonzero(((self._low < high) & (self._high > low)).all(axis=1))
+        return [self._parts[row] for row in near.tolist() if measure_separation(self._parts[row], part) < 0]
+
+    def is_clear(self, part: ConvexPart) -> bool:
+        """Return True if a part touches none of the set."""
+        return not self.list_touching(part)
+
+
 def thicken_points(points: Floats, min_thickness_m: float = 0.0) -> Floats:
     """Return points whose hull contains the given points and spans a volume.
 
@@ -92,19 +197,24 @@ def split_part(part: ConvexPart, overlap_m: float) -> tuple[ConvexPart, ConvexPa
     along = (part.vertices - center) @ axes[:, 2]
     middle = (along.min() + along.max()) / 2
     return (
-        _cut_part(part, along - middle - overlap_m / 2),
-        _cut_part(part, middle - overlap_m / 2 - along),
+        clip_part(part, along - middle - overlap_m / 2),
+        clip_part(part, middle - overlap_m / 2 - along),
     )
 
 
-def _cut_part(part: ConvexPart, heights: Floats) -> ConvexPart:
+def clip_part(part: ConvexPart, heights: Floats) -> ConvexPart:
     """Cut off the side of a part at which the heights (k,) of its corners are positive."""
+    return part if heights.max() <= 0 else build_part(thicken_points(cut_points(part, heights)))
+
+
+def cut_points(part: ConvexPart, heights: Floats) -> Floats:
+    """Return the corners of the side of a part at which the heights (k,) of its corners are not positive."""
     a, b = np.concatenate((part.triangles[:, :2], part.triangles[:, 1:], part.triangles[:, ::2])).T
     crossing = heights[a] * heights[b] < 0
     a, b = a[crossing], b[crossing]
     ratio = (heights[a] / (heights[a] - heights[b]))[:, None]
     on_plane = part.vertices[a] * (1 - ratio) + part.vertices[b] * ratio
-    return build_part(thicken_points(np.concatenate((part.vertices[heights <= 0], on_plane))))
+    return np.concatenate((part.vertices[heights <= 0], on_plane))
 
 
 def concatenate_faces(parts: Sequence[ConvexPart]) -> tuple[Floats, NDArray[np.int32], NDArray[np.int64]]:

@@ -9,8 +9,9 @@ parts with too many corners are replaced by slightly larger ones with fewer.
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,15 +27,20 @@ from scanloom.stages.exporting.simulation.collision_proof import (
 )
 from scanloom.stages.exporting.simulation.convex_part import (
     ConvexPart,
+    PartSet,
+    build_box,
     build_part,
+    fit_rectangle,
     split_part,
     thicken_points,
 )
 from scanloom.stages.files.subprocess_reader import SubprocessDiedError, run_reader_subprocess
+from scanloom.stages.simplification.planar.run import planar_patches
 from scanloom.stages.simplification.simplify import simplify
 from scanloom.stages.surface.mesh import Mesh
 
 Floats = NDArray[np.float64]
+_Builder: TypeAlias = Callable[[Floats], ConvexPart]
 
 # PhysX uses at most 64 corners of a hull on the GPU.
 MAX_CORNERS = 64
@@ -48,6 +54,12 @@ _HULL_RATIO = 0.75
 _COVER_RATIO = 0.05
 _CORNER_RATIO, _MAX_CORNER_RATIO = 0.03, 0.25
 _BACKING_RATIO = 0.2
+# Planar patches become boxes if they are at least this wide, in multiples of the permitted excess. The bound
+# on their thickness is a share of the permitted excess, and a ratio of the bounding-box diagonal.
+_MIN_PATCH_SIDES = 4.0
+_PATCH_RATIO, _MAX_PATCH_RATIO = 0.5, 0.005
+# Size of a group of pieces that is not divided, as a ratio of the permitted excess.
+_MIN_GROUP_RATIO = 0.25
 # Parts that need more corners than MAX_CORNERS are halved, at most so often.
 _MAX_HALVINGS = 4
 # Step of written coordinates, as a ratio of the bounding-box diagonal.
@@ -67,53 +79,122 @@ def decompose_solid(solid: Mesh, max_excess_m: float, concavity_m: float) -> lis
     StageError
         If CoACD fails.
     """
+    hulls = divide_solid(solid, concavity_m)
+    return _finish_parts(hulls, solid.vertices[solid.triangles], solid, max_excess_m, PartSet([]))
+
+
+def divide_solid(solid: Mesh, concavity_m: float) -> list[ConvexPart]:
+    """Divide a closed mesh into the hulls of convex portions.
+
+    Raises
+    ------
+    StageError
+        If CoACD fails.
+    """
     light = solid
     if len(solid.triangles) > _MAX_TRIANGLES:
         light = simplify(solid.with_(colors=None), triangles=_MAX_TRIANGLES).mesh
-    points = _run_coacd(light, concavity_m)
-    return _finish_parts([build_part(thicken_points(one)) for one in points], solid, max_excess_m)
+    return [build_part(thicken_points(one)) for one in _run_coacd(light, concavity_m)]
 
 
-def decompose_surface(surface: Mesh, max_excess_m: float) -> list[ConvexPart]:
+def decompose_surface(
+    surface: Mesh, max_excess_m: float, obstacles: PartSet | None = None
+) -> list[ConvexPart]:
     """Decompose an open mesh into thin convex parts that contain it.
 
-    Parts of flat regions are slabs that extend behind the surface.
+    Large planar patches become boxes, other regions slabs. Both extend behind the surface.
+
+    Parameters
+    ----------
+    obstacles : parts of other bodies, which the result does not touch, except next to the surface.
     """
-    distance = SolidDistance(surface, is_solid=False)
-    limit, backing = _HULL_RATIO * max_excess_m, _BACKING_RATIO * max_excess_m
-    done: list[Floats] = []
-    pending = [surface.vertices[surface.triangles]]
-    while pending:
-        hulls = [build_part(_back_pieces(one, backing)) for one in pending]
-        divided: list[Floats] = []
-        for pieces, is_within in zip(pending, is_within_excess(distance, hulls, limit), strict=True):
-            if is_within or (len(pieces) == 1 and measure_longest_sides(pieces)[0] <= max_excess_m):
-                done.append(pieces)
-            else:
-                divided += _divide_pieces(pieces)
-        pending = divided
-    done = _merge_pieces(done, distance, limit, backing)
-    return _finish_parts([build_part(_back_pieces(one, backing)) for one in done], surface, max_excess_m)
+    obstacles = PartSet([]) if obstacles is None else obstacles
+    search = _SlabSearch(surface, max_excess_m, obstacles)
+    boxes, rest = search.find_boxes(surface)
+    pieces = surface.vertices[surface.triangles[rest]]
+    if not len(pieces):
+        return boxes
+    groups = search.merge(search.divide([pieces], search.build_slab), search.build_slab)
+    slabs = [search.build_slab(one) for one in groups]
+    return boxes + _finish_parts(slabs, np.concatenate(groups), surface, max_excess_m, obstacles)
 
 
-def _merge_pieces(
-    groups: list[Floats], distance: SolidDistance, limit_m: float, backing_m: float
-) -> list[Floats]:
-    """Merge neighbouring groups of pieces whose common hull is within the limit, nearest pairs first."""
-    is_new = np.ones(len(groups), bool)
-    while is_new.any():
-        pairs = _pair_neighbours(groups, is_new)
-        merged = [np.concatenate((groups[i], groups[j])) for i, j in pairs]
-        hulls = [build_part(_back_pieces(one, backing_m)) for one in merged]
-        if not hulls:
-            break
-        accepted = is_within_excess(distance, hulls, limit_m).tolist()
-        used = {index for pair, is_within in zip(pairs, accepted, strict=True) if is_within for index in pair}
-        kept = [one for index, one in enumerate(groups) if index not in used]
-        made = [one for one, is_within in zip(merged, accepted, strict=True) if is_within]
-        groups = kept + made
-        is_new = np.arange(len(groups)) >= len(kept)
-    return groups
+class _SlabSearch:
+    """Search for groups of triangles whose hulls are close to a surface.
+
+    Parameters
+    ----------
+    surface : the complete surface.
+    obstacles : parts that hulls must not touch.
+    """
+
+    def __init__(self, surface: Mesh, max_excess_m: float, obstacles: PartSet) -> None:
+        self._distance = SolidDistance(surface, is_solid=False)
+        self._max_excess_m = max_excess_m
+        self._obstacles = obstacles
+
+    def build_slab(self, pieces: Floats) -> ConvexPart:
+        return build_part(_back_pieces(pieces, _BACKING_RATIO * self._max_excess_m))
+
+    def find_boxes(self, surface: Mesh) -> tuple[list[ConvexPart], NDArray[np.bool_]]:
+        """Return boxes on large planar patches, and a mask of the other triangles."""
+        max_shape = min(_PATCH_RATIO * self._max_excess_m, _MAX_PATCH_RATIO * self._distance.diagonal_m)
+        patches = planar_patches(Mesh(surface.vertices, surface.triangles), max_shape=max_shape)
+        rest = np.ones(len(surface.triangles), bool)
+        boxes: list[ConvexPart] = []
+        for row in np.flatnonzero(patches.areas >= (_MIN_PATCH_SIDES * self._max_excess_m) ** 2).tolist():
+            own = patches.triangle_patch == row
+            pieces = surface.vertices[surface.triangles[own]]
+            axes = fit_rectangle(pieces.reshape(-1, 3), patches.normals[row])
+
+            def build(part: Floats, axes: Floats = axes) -> ConvexPart:
+                return build_box(part.reshape(-1, 3), axes, _BACKING_RATIO * self._max_excess_m)
+
+            groups = self.merge(self.divide([pieces], build, axes[:2]), build)
+            boxes += [build(one) for one in groups]
+            rest &= ~own
+        return boxes, rest
+
+    def divide(self, pending: list[Floats], build: _Builder, axes: Floats | None = None) -> list[Floats]:
+        """Halve groups of pieces until each hull is accepted, or small: an obstacle can be on the surface."""
+        done: list[Floats] = []
+        while pending:
+            accepted = self._accept([build(one) for one in pending])
+            divided: list[Floats] = []
+            for pieces, is_accepted in zip(pending, accepted, strict=True):
+                corners = pieces.reshape(-1, 3)
+                if is_accepted or measure_diagonal(corners) <= _MIN_GROUP_RATIO * self._max_excess_m:
+                    done.append(pieces)
+                else:
+                    divided += _divide_pieces(pieces, axes)
+            pending = divided
+        return done
+
+    def merge(self, groups: list[Floats], build: _Builder) -> list[Floats]:
+        """Merge neighbouring groups of pieces whose common hull is accepted, nearest pairs first."""
+        is_new = np.ones(len(groups), bool)
+        while is_new.any():
+            pairs = _pair_neighbours(groups, is_new)
+            merged = [np.concatenate((groups[i], groups[j])) for i, j in pairs]
+            if not merged:
+                break
+            accepted = self._accept([build(one) for one in merged])
+            used = {
+                index
+                for pair, is_accepted in zip(pairs, accepted, strict=True)
+                if is_accepted
+                for index in pair
+            }
+            kept = [one for index, one in enumerate(groups) if index not in used]
+            made = [one for one, is_accepted in zip(merged, accepted, strict=True) if is_accepted]
+            groups = kept + made
+            is_new = np.arange(len(groups)) >= len(kept)
+        return groups
+
+    def _accept(self, hulls: Sequence[ConvexPart]) -> list[bool]:
+        limit = _HULL_RATIO * self._max_excess_m
+        is_close = is_within_excess(self._distance, hulls, limit).tolist()
+        return [one and self._obstacles.is_clear(hull) for one, hull in zip(is_close, hulls, strict=True)]
 
 
 def _pair_neighbours(groups: list[Floats], is_new: NDArray[np.bool_]) -> list[tuple[int, int]]:
@@ -173,12 +254,19 @@ def _back_pieces(pieces: Floats, depth_m: float) -> Floats:
     return thicken_points(points)
 
 
-def _divide_pieces(pieces: Floats) -> list[Floats]:
-    """Divide pieces in two halves along their longest axis; long pieces are bisected first."""
+def _divide_pieces(pieces: Floats, axes: Floats | None = None) -> list[Floats]:
+    """Divide pieces in two halves along their longest axis; long pieces are bisected first.
+
+    Parameters
+    ----------
+    axes : (k, 3) directions to choose from; None for the principal axis.
+    """
     centers = pieces.mean(axis=1)
     corners = pieces.reshape(-1, 3)
-    _, axes = np.linalg.eigh(np.cov((corners - corners.mean(axis=0)).T))
-    axis = axes[:, 2]
+    if axes is None:
+        axis = np.linalg.eigh(np.cov((corners - corners.mean(axis=0)).T))[1][:, 2]
+    else:
+        axis = axes[np.ptp(corners @ axes.T, axis=0).argmax()]
     extent = np.ptp(corners @ axis)
     is_long = np.ptp(pieces @ axis, axis=1) > extent / 2
     if is_long.any():
@@ -190,12 +278,36 @@ def _divide_pieces(pieces: Floats) -> list[Floats]:
     return [half for half in (pieces[is_low], pieces[~is_low]) if len(half)]
 
 
-def _finish_parts(parts: list[ConvexPart], surface: Mesh, max_excess_m: float) -> list[ConvexPart]:
-    parts = _cover_surface(parts, surface, max_excess_m)
+def _finish_parts(
+    parts: list[ConvexPart],
+    pieces: Floats,
+    surface: Mesh,
+    max_excess_m: float,
+    obstacles: PartSet,
+) -> list[ConvexPart]:
+    """Grow parts to contain pieces of the surface, and reduce their corners.
+
+    A part that would touch an obstacle after the reduction keeps its corners.
+    """
     step = compute_grid_step(surface)
-    return [
-        finished for part in parts for finished in _reduce_corners(part, max_excess_m, step, _MAX_HALVINGS)
-    ]
+    finished: list[ConvexPart] = []
+    for part in _cover_surface(parts, pieces, max_excess_m):
+        reduced = list(_reduce_corners(part, max_excess_m, step, _MAX_HALVINGS))
+        if all(map(obstacles.is_clear, reduced)) or not obstacles.is_clear(part):
+            finished += reduced
+        else:
+            finished += limit_corners(part, _COVER_RATIO * max_excess_m)
+    return finished
+
+
+def limit_corners(part: ConvexPart, overlap_m: float) -> list[ConvexPart]:
+    """Split a part until no part has more than MAX_CORNERS corners.
+
+    The parts overlap, so that each small piece of the surface is inside one of them.
+    """
+    if len(part.vertices) <= MAX_CORNERS:
+        return [part]
+    return [one for half in split_part(part, overlap_m) for one in limit_corners(half, overlap_m)]
 
 
 def compute_grid_step(surface: Mesh) -> float:
@@ -203,10 +315,9 @@ def compute_grid_step(surface: Mesh) -> float:
     return float(10.0 ** np.floor(np.log10(_GRID_RATIO * measure_diagonal(surface.vertices))))
 
 
-def _cover_surface(parts: list[ConvexPart], surface: Mesh, max_excess_m: float) -> list[ConvexPart]:
+def _cover_surface(parts: list[ConvexPart], pieces: Floats, max_excess_m: float) -> list[ConvexPart]:
     """Grow parts until each triangle, or each of its pieces, is inside one part."""
     added: list[list[Floats]] = [[] for _ in parts]
-    pieces = surface.vertices[surface.triangles]
     tolerance = _COVER_RATIO * max_excess_m
     while len(pieces):
         growth, chosen = _find_nearest_parts(pieces, parts, max_excess_m)
@@ -255,7 +366,7 @@ def _reduce_corners(
     """
     max_growth = _MAX_CORNER_RATIO * max_excess_m
     center = part.vertices.mean(axis=0)
-    reduced, scale = _choose_corners(part, center, _CORNER_RATIO * max_excess_m)
+    reduced, scale = choose_corners(part, center, _CORNER_RATIO * max_excess_m)
     radius = float(np.linalg.norm(part.vertices - center, axis=1).max())
     if (scale - 1) * radius > max_growth and halvings > 0:
         # A triangle across the cut is then inside one of the halves, or has pieces that are.
@@ -269,7 +380,7 @@ def _reduce_corners(
     yield build_part(np.unique(grid, axis=0) / round(1 / step_m) if step_m < 1 else grid * step_m)
 
 
-def _choose_corners(part: ConvexPart, center: Floats, max_growth_m: float) -> tuple[ConvexPart, float]:
+def choose_corners(part: ConvexPart, center: Floats, max_growth_m: float) -> tuple[ConvexPart, float]:
     """Return the hull of chosen corners, and the scale at which it contains the part."""
     from scipy.spatial import ConvexHull
 
@@ -305,7 +416,9 @@ def _choose_corners(part: ConvexPart, center: Floats, max_growth_m: float) -> tu
 
 def _make_volume(points: Floats, chosen: list[int]) -> list[int]:
     """Add points until the chosen ones span a volume."""
-    while len(chosen) < 4 or np.linalg.matrix_rank(points[chosen] - points[chosen[0]]) < 3:
+    # The default tolerance takes rounding errors of four coplanar points for a volume.
+    tolerance = 1e-9 * float(np.ptp(points, axis=0).max())
+    while len(chosen) < 4 or np.linalg.matrix_rank(points[chosen] - points[chosen[0]], tolerance) < 3:
         basis = points[chosen] - points[chosen[0]]
         _, sizes, axes = np.linalg.svd(basis)
         spanned = axes[: int((sizes > 1e-9 * max(sizes[0], 1e-300)).sum())]

@@ -2,14 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree as Xml
 
-from scanloom.stages.exporting.simulation.body import BodyFiles, VisualFile
+import numpy as np
+from numpy.typing import NDArray
+
+from scanloom.stages.exporting.simulation.body import BodyFiles, CollisionShape, VisualFile
+from scanloom.stages.exporting.simulation.convex_part import OrientedBox
 from scanloom.stages.exporting.simulation.mass import MassProperties
 from scanloom.stages.files.atomic_files import write_file_atomically
+from scanloom.stages.surface.up_direction import rotate_to_z
+
+Floats = NDArray[np.float64]
 
 # Collision geometry is in its own group, which the viewer of MuJoCo hides by default.
 _VISUAL_GROUP, _COLLISION_GROUP = "2", "3"
@@ -31,6 +38,8 @@ def write_mjcf(path: Path, name: str, bodies: Sequence[BodyFiles]) -> None:
     for files in bodies:
         body = files.body
         element = Xml.SubElement(world, "body", name=body.name)
+        if any(body.position):
+            element.set("pos", _format(body.position))
         if not body.is_static:
             Xml.SubElement(element, "freejoint")
         _add_mjcf_inertia(element, body.mass)
@@ -39,11 +48,52 @@ def write_mjcf(path: Path, name: str, bodies: Sequence[BodyFiles]) -> None:
             Xml.SubElement(asset, "mesh", name=mesh, file=one.file)
             geom = Xml.SubElement(element, "geom", {"class": "visual", "mesh": mesh})
             _add_mjcf_material(asset, geom, one, images)
-        for file in files.collisions:
-            mesh = Path(file).stem
-            Xml.SubElement(asset, "mesh", name=mesh, file=file)
-            Xml.SubElement(element, "geom", {"class": "collision", "mesh": mesh})
+        if body.floor is not None:
+            # A plane extends without limit whatever its size is.
+            shape = {"class": "collision", "type": "plane", "size": "0 0 1"}
+            turn = _compute_quaternion(rotate_to_z(body.floor.normal))
+            pose = {"pos": _format_exactly(body.floor.point), "quat": _format_exactly(turn)}
+            Xml.SubElement(element, "geom", {**shape, **pose})
+        for part in files.collisions:
+            if not part.is_floor:
+                _add_mjcf_shape(asset, element, part)
     _write_xml(path, root)
+
+
+def _add_mjcf_shape(asset: Any, element: Any, shape: CollisionShape) -> None:
+    if shape.file is not None:
+        Xml.SubElement(asset, "mesh", name=shape.name, file=shape.file)
+        Xml.SubElement(element, "geom", {"class": "collision", "mesh": shape.name})
+        return
+    box = _get_box(shape)
+    attributes = {
+        "class": "collision",
+        "type": "box",
+        "size": _format_exactly(box.half_sizes),
+        "pos": _format_exactly(box.center),
+        "quat": _format_exactly(_compute_quaternion(box.axes)),
+    }
+    Xml.SubElement(element, "geom", attributes)
+
+
+def _get_box(shape: CollisionShape) -> OrientedBox:
+    assert shape.part.box is not None
+    return shape.part.box
+
+
+def _compute_quaternion(axes: Floats) -> Floats:
+    """Return the quaternion w, x, y, z that turns the coordinate axes to the axes in rows."""
+    from scipy.spatial.transform import Rotation
+
+    x, y, z, w = Rotation.from_matrix(axes.T).as_quat().tolist()
+    return np.array([w, x, y, z])
+
+
+def _compute_angles(axes: Floats) -> Floats:
+    """Return roll, pitch and yaw in radians, about fixed axes, of the axes in rows."""
+    from scipy.spatial.transform import Rotation
+
+    return np.asarray(Rotation.from_matrix(axes.T).as_euler("xyz"), np.float64)
 
 
 def _add_mjcf_material(asset: Any, geom: Any, visual: VisualFile, images: dict[str, str]) -> None:
@@ -85,31 +135,69 @@ def write_urdf(path: Path, files: BodyFiles) -> None:
     Xml.SubElement(inertial, "origin", xyz=_format(files.body.mass.center_m.tolist()))
     Xml.SubElement(inertial, "mass", value=_format([files.body.mass.mass_kg]))
     Xml.SubElement(inertial, "inertia", _list_moments(files.body.mass))
-    for kind, meshes in (("visual", [one.file for one in files.visuals]), ("collision", files.collisions)):
-        for file in meshes:
-            element = Xml.SubElement(link, kind, name=Path(file).stem)
-            Xml.SubElement(Xml.SubElement(element, "geometry"), "mesh", filename=file)
+    for visual in files.visuals:
+        element = Xml.SubElement(link, "visual", name=Path(visual.file).stem)
+        Xml.SubElement(Xml.SubElement(element, "geometry"), "mesh", filename=visual.file)
+    for shape in files.collisions:
+        element = Xml.SubElement(link, "collision", name=shape.name)
+        if shape.file is not None:
+            Xml.SubElement(Xml.SubElement(element, "geometry"), "mesh", filename=shape.file)
+            continue
+        box = _get_box(shape)
+        angles = _format_exactly(_compute_angles(box.axes))
+        Xml.SubElement(element, "origin", xyz=_format_exactly(box.center), rpy=angles)
+        geometry = Xml.SubElement(element, "geometry")
+        Xml.SubElement(geometry, "box", size=_format_exactly(2 * box.half_sizes))
     _write_xml(path, root)
 
 
-def write_sdf(path: Path, files: BodyFiles) -> None:
-    """Write an SDF file with one model of one link."""
+def write_sdf(path: Path, name: str, bodies: Sequence[BodyFiles]) -> None:
+    """Write an SDF file: a model of one link, or a world with a model for each of several bodies."""
     root = Xml.Element("sdf", version="1.9")
-    model = Xml.SubElement(root, "model", name=files.body.name)
-    Xml.SubElement(model, "static").text = "true" if files.body.is_static else "false"
-    link = Xml.SubElement(model, "link", name=files.body.name)
-    inertial = Xml.SubElement(link, "inertial")
-    Xml.SubElement(inertial, "pose").text = _format([*files.body.mass.center_m.tolist(), 0, 0, 0])
-    Xml.SubElement(inertial, "mass").text = _format([files.body.mass.mass_kg])
-    inertia = Xml.SubElement(inertial, "inertia")
-    for key, value in _list_moments(files.body.mass).items():
-        Xml.SubElement(inertia, key).text = value
-    for kind, meshes in (("visual", [one.file for one in files.visuals]), ("collision", files.collisions)):
-        for file in meshes:
-            element = Xml.SubElement(link, kind, name=Path(file).stem)
-            mesh = Xml.SubElement(Xml.SubElement(element, "geometry"), "mesh")
-            Xml.SubElement(mesh, "uri").text = file
+    parent = root if len(bodies) == 1 else Xml.SubElement(root, "world", name=name)
+    for files in bodies:
+        _add_sdf_model(parent, files)
     _write_xml(path, root)
+
+
+def _add_sdf_model(parent: Any, files: BodyFiles) -> None:
+    body = files.body
+    model = Xml.SubElement(parent, "model", name=body.name)
+    Xml.SubElement(model, "static").text = "true" if body.is_static else "false"
+    if any(body.position):
+        Xml.SubElement(model, "pose").text = _format([*body.position, 0, 0, 0])
+    link = Xml.SubElement(model, "link", name=body.name)
+    inertial = Xml.SubElement(link, "inertial")
+    Xml.SubElement(inertial, "pose").text = _format([*body.mass.center_m.tolist(), 0, 0, 0])
+    Xml.SubElement(inertial, "mass").text = _format([body.mass.mass_kg])
+    inertia = Xml.SubElement(inertial, "inertia")
+    for key, value in _list_moments(body.mass).items():
+        Xml.SubElement(inertia, key).text = value
+    for visual in files.visuals:
+        _add_sdf_mesh(link, "visual", Path(visual.file).stem, visual.file)
+    if body.floor is not None:
+        element = Xml.SubElement(link, "collision", name=f"{body.name}_floor")
+        Xml.SubElement(element, "pose").text = _format_exactly([*body.floor.point.tolist(), 0, 0, 0])
+        plane = Xml.SubElement(Xml.SubElement(element, "geometry"), "plane")
+        Xml.SubElement(plane, "normal").text = _format_exactly(body.floor.normal)
+    for shape in files.collisions:
+        if shape.is_floor:
+            continue
+        if shape.file is not None:
+            _add_sdf_mesh(link, "collision", shape.name, shape.file)
+            continue
+        box = _get_box(shape)
+        element = Xml.SubElement(link, "collision", name=shape.name)
+        pose = [*box.center.tolist(), *_compute_angles(box.axes).tolist()]
+        Xml.SubElement(element, "pose").text = _format_exactly(pose)
+        size = Xml.SubElement(Xml.SubElement(Xml.SubElement(element, "geometry"), "box"), "size")
+        size.text = _format_exactly(2 * box.half_sizes)
+
+
+def _add_sdf_mesh(link: Any, kind: str, name: str, file: str) -> None:
+    element = Xml.SubElement(link, kind, name=name)
+    mesh = Xml.SubElement(Xml.SubElement(element, "geometry"), "mesh")
+    Xml.SubElement(mesh, "uri").text = file
 
 
 def write_gazebo_config(path: Path, name: str, sdf: str) -> None:
@@ -134,6 +222,11 @@ def _list_moments(mass: MassProperties) -> dict[str, str]:
 
 def _format(values: Sequence[float]) -> str:
     return " ".join(f"{value:.9g}" for value in values)
+
+
+def _format_exactly(values: Iterable[float]) -> str:
+    """Format values so that they read back equal: the proof is about these numbers."""
+    return " ".join(repr(float(value)) for value in values)
 
 
 def _write_xml(path: Path, root: Any) -> None:

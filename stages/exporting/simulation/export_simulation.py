@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import json
-import shutil
-from collections.abc import Iterator
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from pathlib import Path
@@ -15,10 +14,12 @@ import numpy as np
 from scanloom.stages.diagnostics.codes import USAGE_VALUE_INVALID
 from scanloom.stages.diagnostics.collector import collecting, emit
 from scanloom.stages.diagnostics.diagnostic import Diagnostic, DiagnosticLocation, Severity
-from scanloom.stages.diagnostics.errors import UsageError
+from scanloom.stages.diagnostics.errors import StageError, UsageError
 from scanloom.stages.exporting.codes import (
+    EXPORT_BODIES_OVERLAP,
     EXPORT_COLLISION_LARGE,
     EXPORT_COLLISION_LOOSE,
+    EXPORT_DECOMPOSITION_FAILED,
     EXPORT_HOLES_CLOSED,
     EXPORT_LEFT_OUT,
     EXPORT_OPEN_BODY,
@@ -27,20 +28,28 @@ from scanloom.stages.exporting.codes import (
 from scanloom.stages.exporting.export import rotate_mesh
 from scanloom.stages.exporting.image_conversion import convert_images
 from scanloom.stages.exporting.simulation.body import MESH_FOLDER, Body, BodyFiles, write_body_meshes
+from scanloom.stages.exporting.simulation.body_plan import BodyPlan, clip_by_base, plan_bodies
 from scanloom.stages.exporting.simulation.collision_proof import (
     CollisionProof,
     measure_diagonal,
     prove_collision,
+    prove_inside,
 )
-from scanloom.stages.exporting.simulation.convex_part import ConvexPart
-from scanloom.stages.exporting.simulation.decomposition import decompose_solid, decompose_surface
+from scanloom.stages.exporting.simulation.convex_part import ConvexPart, PartSet
+from scanloom.stages.exporting.simulation.decomposition import (
+    decompose_solid,
+    decompose_surface,
+    divide_solid,
+)
 from scanloom.stages.exporting.simulation.descriptions import (
     write_gazebo_config,
     write_mjcf,
     write_sdf,
     write_urdf,
 )
+from scanloom.stages.exporting.simulation.inner_parts import carve_parts
 from scanloom.stages.exporting.simulation.mass import compute_mass_properties
+from scanloom.stages.exporting.simulation.overlaps import Overlap, find_overlaps
 from scanloom.stages.exporting.simulation.solid import SolidGeometry, build_solid
 from scanloom.stages.exporting.simulation.usd_physics import write_usd_physics
 from scanloom.stages.files.atomic_folders import require_replaceable_folder, write_folder_atomically
@@ -63,10 +72,14 @@ _BODY_NAME = "model"
 _FOLDER_DESCRIPTION = "a simulation model"
 # Default of `max_excess` for solids and open surfaces, and its minimum, per bounding-box diagonal.
 # Parts of an open surface cannot extend into its inside, so many more are needed.
+# The completed side of an object of a scan is uncertain by more.
 _SOLID_EXCESS_RATIO, _OPEN_EXCESS_RATIO = 0.01, 0.02
 _MIN_EXCESS_RATIO = 0.001
 # CoACD's concavity relative to the permitted excess. CoACD samples distances, so its result can exceed it.
-_CONCAVITY_RATIOS = (1.0, 0.7, 0.5)
+# Carving adds to the concavity, so that parts inside need smaller portions.
+_CONCAVITY_RATIOS = {"outside": (1.0, 0.7, 0.5), "inside": (0.7, 0.4, 0.2)}
+# Overlap of the halves of a split part, per permitted excess.
+_OVERLAP_RATIO = 0.05
 _MAX_IMAGE_SIZE = 16384
 # Decompositions, each with twice the excess, until the parts are smaller than the visual mesh.
 _MAX_ATTEMPTS = 3
@@ -78,6 +91,19 @@ class SimulationParams:
 
     density: float = param(
         1000.0, "Density of the object; 1000 is water.", unit="kg/m³", low=0, low_open=True
+    )
+    split: str = param(
+        "none",
+        "`objects`: one body for each object on a floor or table, closed below by that plane, and a static "
+        "body for the rest. Needs `scanloom[solid]`.",
+        choices=("none", "objects"),
+        common=True,
+    )
+    collision: str = param(
+        "outside",
+        "`outside`: collision parts contain the surface; `inside`: they are inside of the object, which must "
+        "be closed, and `max_excess` limits the distance of the surface from them.",
+        choices=("outside", "inside"),
     )
     max_excess: float | None = param(
         None,
@@ -134,8 +160,8 @@ def export_simulation(
 ) -> SimulationResult:
     """Write a folder with a model for physics simulators.
 
-    The folder has `model.usda` (UsdPhysics), `model.xml` (MJCF), `model.urdf` and `model.sdf`, meshes, images
-    and `simulation.json`. All paths are relative, all files z-up, in metres and kilograms.
+    The folder has `model.usda` (UsdPhysics), `model.xml` (MJCF), `model.sdf`, a URDF file for each body,
+    meshes, images and `simulation.json`. All paths are relative, all files z-up, in metres and kilograms.
 
     The collision geometry is a union of convex parts. It contains the surface, and its excess is proven: no
     point of a part is farther from the object than the stated bound. The object is the solid that the mesh
@@ -200,23 +226,23 @@ def _may_replace(folder: Path) -> bool:
 
 def _write_model(mesh: Mesh, folder: Path, params: SimulationParams, progress: Progress) -> SimulationResult:
     require_area(mesh, "mesh")
-    mesh = _name_images(_turn_upright(mesh))
-    geometry = build_solid(mesh)
-    limit = _choose_limit(geometry, params)
+    mesh = convert_images(_turn_upright(mesh), "png", 100, _MAX_IMAGE_SIZE)
+    plans = [BodyPlan(_BODY_NAME, mesh)] if params.split == "none" else plan_bodies(mesh)
+    plans = _name_images(plans)
     with write_folder_atomically(folder, _may_replace, _FOLDER_DESCRIPTION) as draft:
-        for attempt in range(1, _MAX_ATTEMPTS + 1):
-            progress(attempt - 1, attempt)
-            body = _build_body(_BODY_NAME, mesh, geometry, limit, params.density)
-            files = write_body_meshes(draft, body)
-            is_small = files.collision_bytes <= files.visual_bytes
-            if is_small or params.max_excess is not None or attempt == _MAX_ATTEMPTS:
-                break
-            shutil.rmtree(draft / MESH_FOLDER)
-            limit *= 2
-        progress(attempt, attempt)
-        _report_body(body, limit, is_required=params.max_excess is not None)
-        bodies, written = [body], [files]
-        images = {} if mesh.texture is None else {id(one): one.name for one in mesh.texture.images}
+        written: list[BodyFiles] = []
+        limits: dict[str, float] = {}
+        for number, plan in enumerate(plans):
+            progress(number, len(plans))
+            files, limits[plan.name] = _write_body(draft, plan, params, [one.body for one in written])
+            written.append(files)
+        progress(len(plans), len(plans))
+        # The static body was made last, to keep it clear of the others.
+        written = written[-1:] + written[:-1]
+        bodies = [files.body for files in written]
+        overlaps = find_overlaps(bodies)
+        _report_overlaps(overlaps)
+        images = {id(one): one.name for plan in plans for one in _list_images(plan.mesh)}
         write_usd_physics(
             draft / f"{_BODY_NAME}.usda",
             bodies,
@@ -225,8 +251,9 @@ def _write_model(mesh: Mesh, folder: Path, params: SimulationParams, progress: P
         write_mjcf(draft / f"{_BODY_NAME}.xml", _BODY_NAME, written)
         for files in written:
             write_urdf(draft / f"{files.body.name}.urdf", files)
-            write_sdf(draft / f"{files.body.name}.sdf", files)
-        write_gazebo_config(draft / "model.config", folder.name, f"{written[0].body.name}.sdf")
+        write_sdf(draft / f"{_BODY_NAME}.sdf", _BODY_NAME, written)
+        if len(written) == 1:
+            write_gazebo_config(draft / "model.config", folder.name, f"{_BODY_NAME}.sdf")
         result = SimulationResult(
             folder,
             tuple(bodies),
@@ -237,12 +264,52 @@ def _write_model(mesh: Mesh, folder: Path, params: SimulationParams, progress: P
         report = {
             **result.to_dict(),
             "density_kg_m3": params.density,
-            "max_excess_m": limit,
+            "max_excess_m": limits if len(limits) > 1 else limits[bodies[0].name],
             # Number k belongs to part k of the body.
             "part_excess_bound_m": {one.name: one.proof.part_excess_m.tolist() for one in bodies},
+            "overlaps": [one.to_dict() for one in overlaps],
         }
         (draft / REPORT_FILE).write_text(json.dumps(report, indent=2) + "\n", encoding="utf-8")
     return result
+
+
+def _write_body(
+    draft: Path, plan: BodyPlan, params: SimulationParams, others: list[Body]
+) -> tuple[BodyFiles, float]:
+    """Make a body that does not overlap the others, if possible, and write its meshes.
+
+    Returns
+    -------
+    The files, and the limit of the excess in metres.
+    """
+    geometry = build_solid(plan.mesh)
+    limit = _choose_limit(plan, geometry, params)
+    obstacles = PartSet(
+        [
+            part.translate(np.subtract(other.position, plan.position))
+            for other in others
+            for part in other.parts
+        ]
+    )
+    # An object is made again with less excess if it overlaps another; a static body avoids others itself.
+    for _ in range(_MAX_ATTEMPTS):
+        body = _build_body(plan, geometry, limit, params, obstacles)
+        if plan.is_static or all(map(obstacles.is_clear, body.parts)):
+            break
+        limit = max(limit / 2, _MIN_EXCESS_RATIO * measure_diagonal(geometry.surface.vertices))
+    files = write_body_meshes(draft, body)
+    may_grow = params.max_excess is None and plan.base is None
+    for _ in range(_MAX_ATTEMPTS - 1):
+        if files.collision_bytes <= files.visual_bytes or not may_grow:
+            break
+        for shape in files.collisions:
+            if shape.file is not None:
+                (draft / shape.file).unlink()
+        limit *= 2
+        body = _build_body(plan, geometry, limit, params, obstacles)
+        files = write_body_meshes(draft, body)
+    _report_body(body, limit, params)
+    return files, limit
 
 
 def _turn_upright(mesh: Mesh) -> Mesh:
@@ -258,27 +325,35 @@ def _turn_upright(mesh: Mesh) -> Mesh:
     return rotate_mesh(mesh, rotate_to_z(np.array(mesh.up)))
 
 
-def _name_images(mesh: Mesh) -> Mesh:
-    """Convert images to PNG, the only format of MuJoCo, and name them by number.
+def _list_images(mesh: Mesh) -> tuple[Image, ...]:
+    return () if mesh.texture is None else mesh.texture.images
+
+
+def _name_images(plans: list[BodyPlan]) -> list[BodyPlan]:
+    """Name images by number.
 
     Properties that only the original file format knows are dropped, because they may refer to other files.
     """
-    if mesh.texture is None or not mesh.texture.images:
-        if mesh.colors is not None:
-            emit(
-                EXPORT_LEFT_OUT.warning(
-                    "the MJCF file has no vertex colours, and few programs show those of URDF and SDF "
-                    "models; the USD file has them",
-                    remedy="use a mesh with a texture.",
-                )
+    if any(plan.mesh.colors is not None and not _list_images(plan.mesh) for plan in plans):
+        emit(
+            EXPORT_LEFT_OUT.warning(
+                "the MJCF file has no vertex colours, and few programs show those of URDF and SDF "
+                "models; the USD file has them",
+                remedy="use a mesh with a texture.",
             )
-        return mesh
-    mesh = convert_images(mesh, "png", 100, _MAX_IMAGE_SIZE)
-    assert mesh.texture is not None
+        )
+    images = {id(image): image for plan in plans for image in _list_images(plan.mesh)}
     named = {
-        id(image): Image(f"texture{number}.png", image.file_bytes)
-        for number, image in enumerate(mesh.texture.images)
+        key: Image(f"texture{number}.png", image.file_bytes)
+        for number, (key, image) in enumerate(images.items())
     }
+    return [replace(plan, mesh=_rename_images(plan.mesh, named)) for plan in plans]
+
+
+def _rename_images(mesh: Mesh, named: Mapping[int, Image]) -> Mesh:
+    if not _list_images(mesh):
+        return mesh
+    assert mesh.texture is not None
     materials = tuple(
         Material(
             one.name,
@@ -291,26 +366,44 @@ def _name_images(mesh: Mesh) -> Mesh:
     return mesh.with_(texture=replace(mesh.texture, materials=materials))
 
 
-def _build_body(name: str, mesh: Mesh, geometry: SolidGeometry, limit_m: float, density: float) -> Body:
-    parts, proof = _decompose(geometry, limit_m)
+def _build_body(
+    plan: BodyPlan,
+    geometry: SolidGeometry,
+    limit_m: float,
+    params: SimulationParams,
+    obstacles: PartSet,
+) -> Body:
+    parts, proof = _decompose(plan, geometry, limit_m, params, obstacles)
     if geometry.is_solid:
         surfaces = [(geometry.surface.vertices, geometry.surface.triangles)]
     else:
         surfaces = [(part.vertices, part.triangles) for part in parts]
     return Body(
-        name=name,
-        visual=mesh,
+        name=plan.name,
+        visual=plan.mesh,
         parts=tuple(parts),
-        mass=compute_mass_properties(surfaces, density),
-        is_static=not geometry.is_solid,
+        mass=compute_mass_properties(surfaces, params.density),
+        is_static=plan.is_static or not geometry.is_solid,
+        is_open=not geometry.is_solid,
         proof=proof,
         cap_ratio=geometry.cap_ratio,
+        added_ratio=plan.added_ratio,
+        position=plan.position,
+        floor=plan.floor,
     )
 
 
-def _report_body(body: Body, limit_m: float, *, is_required: bool) -> None:
-    _report_collision(body.name, body.proof, limit_m, is_required=is_required)
-    if body.is_static:
+def _report_body(body: Body, limit_m: float, params: SimulationParams) -> None:
+    is_required = params.max_excess is not None
+    _report_collision(body.name, body.proof, limit_m, params.collision, is_required=is_required)
+    if body.is_open and params.collision == "inside":
+        emit(
+            EXPORT_OPEN_BODY.warning(
+                "{name}: the surface is open and has no inside, so its collision parts contain the surface",
+                name=body.name,
+            )
+        )
+    if body.is_open:
         emit(
             EXPORT_OPEN_BODY.warning(
                 "{name}: the surface is open, so the body is static, and its mass is that of its collision "
@@ -328,7 +421,7 @@ def _report_body(body: Body, limit_m: float, *, is_required: bool) -> None:
         )
 
 
-def _choose_limit(geometry: SolidGeometry, params: SimulationParams) -> float:
+def _choose_limit(plan: BodyPlan, geometry: SolidGeometry, params: SimulationParams) -> float:
     """Return the permitted excess in metres.
 
     Raises
@@ -338,7 +431,8 @@ def _choose_limit(geometry: SolidGeometry, params: SimulationParams) -> float:
     """
     diagonal = measure_diagonal(geometry.surface.vertices)
     if params.max_excess is None:
-        return diagonal * (_SOLID_EXCESS_RATIO if geometry.is_solid else _OPEN_EXCESS_RATIO)
+        is_complete = geometry.is_solid and plan.base is None
+        return diagonal * (_SOLID_EXCESS_RATIO if is_complete else _OPEN_EXCESS_RATIO)
     if params.max_excess < _MIN_EXCESS_RATIO * diagonal:
         raise UsageError(
             USAGE_VALUE_INVALID,
@@ -350,28 +444,47 @@ def _choose_limit(geometry: SolidGeometry, params: SimulationParams) -> float:
     return params.max_excess
 
 
-def _decompose(geometry: SolidGeometry, limit_m: float) -> tuple[list[ConvexPart], CollisionProof]:
-    """Decompose a surface; repeat with smaller parts until the proven excess is within the limit."""
+def _decompose(
+    plan: BodyPlan,
+    geometry: SolidGeometry,
+    limit_m: float,
+    params: SimulationParams,
+    obstacles: PartSet,
+) -> tuple[list[ConvexPart], CollisionProof]:
+    """Decompose a surface; repeat with smaller parts until the proven bounds are within the limit."""
+    surface = geometry.surface
+    if not geometry.is_solid:
+        parts = decompose_surface(surface, limit_m, obstacles)
+        return parts, prove_collision(surface, parts, is_solid=False, resolution_m=limit_m / 2)
     best = None
-    for parts in _try_decompositions(geometry, limit_m):
-        proof = prove_collision(geometry.surface, parts, geometry.is_solid, limit_m / 2)
-        if best is None or proof.excess_m < best[1].excess_m:
+    for ratio in _CONCAVITY_RATIOS[params.collision]:
+        if params.collision == "inside":
+            parts = carve_parts(divide_solid(surface, ratio * limit_m), surface, limit_m)
+            if not parts:
+                continue
+            proof = prove_inside(surface, parts)
+        else:
+            parts = decompose_solid(surface, limit_m, ratio * limit_m)
+            if plan.base is not None:
+                parts = clip_by_base(parts, plan.base, _OVERLAP_RATIO * limit_m)
+            proof = prove_collision(surface, parts, is_solid=True, resolution_m=limit_m / 2)
+        if best is None or max(proof.excess_m, proof.gap_m) < max(best[1].excess_m, best[1].gap_m):
             best = parts, proof
-        if best[1].excess_m <= limit_m:
+        if max(proof.excess_m, proof.gap_m) <= limit_m:
             break
-    assert best is not None
+    if best is None:
+        raise StageError(
+            EXPORT_DECOMPOSITION_FAILED,
+            "{name}: no convex part of the permitted size is inside of the object",
+            remedy="set `max_excess` lower, or simulation.collision=outside.",
+            name=plan.name,
+        )
     return best
 
 
-def _try_decompositions(geometry: SolidGeometry, limit_m: float) -> Iterator[list[ConvexPart]]:
-    if not geometry.is_solid:
-        yield decompose_surface(geometry.surface, limit_m)
-        return
-    for ratio in _CONCAVITY_RATIOS:
-        yield decompose_solid(geometry.surface, limit_m, ratio * limit_m)
-
-
-def _report_collision(name: str, proof: CollisionProof, limit_m: float, *, is_required: bool) -> None:
+def _report_collision(
+    name: str, proof: CollisionProof, limit_m: float, collision: str, *, is_required: bool
+) -> None:
     severity = Severity.UNMET if is_required else Severity.WARNING
     if proof.excess_m > limit_m:
         emit(
@@ -390,14 +503,31 @@ def _report_collision(name: str, proof: CollisionProof, limit_m: float, *, is_re
                 },
             )
         )
-    if proof.gap_m > 0:
+    max_gap_m = limit_m if collision == "inside" else 0.0
+    if proof.gap_m > max_gap_m:
         emit(
             EXPORT_COLLISION_LOOSE.create(
                 severity,
-                "{name}: the surface reaches up to {gap_mm:.3g} mm out of the collision geometry",
+                "{name}: the surface reaches up to {gap_mm:.3g} mm out of the collision geometry (limit "
+                "{limit_mm:.3g} mm)",
                 None,
-                "report the mesh as a bug.",
-                {"name": name, "gap_mm": 1000 * proof.gap_m},
+                "set `max_excess` higher." if max_gap_m > 0 else "report the mesh as a bug.",
+                {"name": name, "gap_mm": 1000 * proof.gap_m, "limit_mm": 1000 * max_gap_m},
+            )
+        )
+
+
+def _report_overlaps(overlaps: list[Overlap]) -> None:
+    for one in overlaps:
+        emit(
+            EXPORT_BODIES_OVERLAP.warning(
+                "{first} and {second} overlap at the start, by at most {depth_mm:.3g} mm, in {count} pairs "
+                "of collision parts",
+                remedy="set `max_excess` lower.",
+                first=one.first,
+                second=one.second,
+                depth_mm=1000 * one.depth_m,
+                count=one.pairs,
             )
         )
 

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from scanloom.stages.exporting.simulation.body import Body
 from scanloom.stages.exporting.simulation.convex_part import ConvexPart
@@ -19,6 +20,7 @@ from scanloom.stages.exporting.simulation.mass import MassProperties
 from scanloom.stages.exporting.usd import define_mesh
 from scanloom.stages.files.atomic_files import write_file_atomically
 from scanloom.stages.surface.mesh import Mesh
+from scanloom.stages.surface.up_direction import rotate_to_z
 
 
 def write_usd_physics(path: Path, bodies: Sequence[Body], image_names: Mapping[int, str]) -> None:
@@ -45,9 +47,12 @@ def write_usd_physics(path: Path, bodies: Sequence[Body], image_names: Mapping[i
 
 
 def _add_body(stage: Any, path: str, body: Body, image_names: Mapping[int, str]) -> None:
-    from pxr import UsdGeom, UsdPhysics
+    from pxr import Gf, UsdGeom, UsdPhysics
 
-    root = UsdGeom.Xform.Define(stage, path).GetPrim()
+    shape = UsdGeom.Xform.Define(stage, path)
+    root = shape.GetPrim()
+    if any(body.position):
+        shape.AddTranslateOp().Set(Gf.Vec3d(*body.position))
     # Without the schema of a rigid body, colliders are static.
     if not body.is_static:
         UsdPhysics.RigidBodyAPI.Apply(root)
@@ -56,13 +61,35 @@ def _add_body(stage: Any, path: str, body: Body, image_names: Mapping[int, str])
     group = UsdGeom.Scope.Define(stage, f"{path}/collision")
     # Renderers skip guides.
     UsdGeom.Imageable(group).CreatePurposeAttr(UsdGeom.Tokens.guide)
+    if body.floor is not None:
+        plane = UsdGeom.Plane.Define(stage, f"{path}/collision/floor")
+        plane.CreateAxisAttr(UsdGeom.Tokens.z)
+        plane.AddTransformOp().Set(_make_matrix(rotate_to_z(body.floor.normal), body.floor.point))
+        UsdPhysics.CollisionAPI.Apply(plane.GetPrim())
     for number, part in enumerate(body.parts):
-        _add_collider(stage, f"{path}/collision/part{number}", part)
+        if body.floor is None or not body.floor.contains(part):
+            _add_collider(stage, f"{path}/collision/part{number}", part)
+
+
+def _make_matrix(axes: NDArray[np.float64], origin: NDArray[np.float64]) -> Any:
+    """Return the transform to axes in rows; USD multiplies row vectors from the left."""
+    from pxr import Gf
+
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[3, :3] = axes, origin
+    return Gf.Matrix4d(*matrix.reshape(-1).tolist())
 
 
 def _add_collider(stage: Any, path: str, part: ConvexPart) -> None:
-    from pxr import UsdPhysics
+    from pxr import UsdGeom, UsdPhysics
 
+    if part.box is not None:
+        cube = UsdGeom.Cube.Define(stage, path)
+        cube.CreateSizeAttr(2.0)
+        scaled = part.box.half_sizes[:, None] * part.box.axes
+        cube.AddTransformOp().Set(_make_matrix(scaled, part.box.center))
+        UsdPhysics.CollisionAPI.Apply(cube.GetPrim())
+        return
     prim = define_mesh(stage, path, Mesh(part.vertices, part.triangles), {}).GetPrim()
     UsdPhysics.CollisionAPI.Apply(prim)
     UsdPhysics.MeshCollisionAPI.Apply(prim).CreateApproximationAttr(UsdPhysics.Tokens.convexHull)

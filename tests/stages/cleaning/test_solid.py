@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from scanloom import certify, check, clean, read_mesh, write_mesh
+from scanloom.stages.cleaning.solids.booleans import trim_by_plane
 from scanloom.stages.cleaning.solids.self_intersections import _rebuild, find_unsound
 from scanloom.stages.cleaning.solids.shell import Shell
 from scanloom.stages.diagnostics.errors import MeshError, UsageError
@@ -244,3 +245,19 @@ def test_real_meshes_become_solid(shared_data, tmp_path, file, wall):
     old = solid.vertex_source >= 0
     np.testing.assert_array_equal(solid.mesh.vertices[old], mesh.vertices[solid.vertex_source[old]])
     assert old.mean() > 0.4 or solid.solid_result.intersections == "rebuilt"
+
+
+def test_a_trimmed_solid_ends_at_the_plane():
+    ball = make_ball()
+    normal = np.array([0.6, 0.0, 0.8])
+    shell = Shell(ball.vertices, ball.triangles, np.arange(len(ball.triangles)))
+    trimmed = trim_by_plane(shell, normal, 0.25)
+    assert (trimmed.vertices @ normal).min() == pytest.approx(0.25)
+    closed = trimesh.Trimesh(trimmed.vertices, trimmed.triangles, process=False)
+    assert closed.is_watertight
+    # A cap of a unit ball with the height 0.75.
+    assert closed.volume == pytest.approx(np.pi * 0.75**2 * (3 - 0.75) / 3, rel=0.02)
+    # Triangles know their source; the cut is added.
+    heights = trimmed.vertices[trimmed.triangles] @ normal
+    assert ((trimmed.source < 0) == (heights.max(axis=1) < 0.25 + 1e-9)).all()
+    assert trim_by_plane(shell, normal, -1.5) is shell
