@@ -12,6 +12,7 @@ By the triangle inequality, the bounds proven for each round add up to the bound
 
 from __future__ import annotations
 
+import math
 import tempfile
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
@@ -39,6 +40,7 @@ from scanloom.stages.simplification.mesh_subsets import (
     split_chunk,
     split_subset,
 )
+from scanloom.stages.simplification.method_selection import select_method
 from scanloom.stages.simplification.params import SimplifyParams
 from scanloom.stages.simplification.requirements import report_unmet_requirements
 from scanloom.stages.simplification.result import SimplificationResult
@@ -48,7 +50,7 @@ from scanloom.stages.surface.codes import FUSE_TOO_LARGE
 from scanloom.stages.surface.mesh import Mesh
 
 # Version of results for meshes too large to be simplified at once; included only in their cache keys.
-RESULT_VERSION = 1
+RESULT_VERSION = 2
 
 # In units of the voxel spacing: vertices farther inside a chunk are not used by other chunks' triangles, nor
 # are their neighbours.
@@ -151,13 +153,17 @@ def simplify_chunked(
 def _simplify_chunks(
     path: Path, params: SimplifyParams, scratch: Path | None, progress: Progress
 ) -> ChunkedSimplifyResult:
-    if params.bake:
-        raise UsageError(
-            FUSE_TOO_LARGE,
-            "is not supported for a mesh that is too large to be simplified at once",
-            DiagnosticLocation(parameter="bake"),
-            remedy="leave it out, and enable the stage bake.",
-        )
+    for name, is_given, remedy in (
+        ("bake", params.bake, "leave it out, and enable the stage bake."),
+        ("jia01.resolution", params.jia01.resolution is not None, "leave it out."),
+    ):
+        if is_given:
+            raise UsageError(
+                FUSE_TOO_LARGE,
+                "is not supported for a mesh that is too large to be simplified at once",
+                DiagnosticLocation(parameter=name),
+                remedy=remedy,
+            )
     pieces = ChunkedPly(path)
     total = pieces.triangle_count
 
@@ -272,6 +278,9 @@ def _simplify_part(
     def report_part(done: int, total: int) -> object:
         return progress(done_count + len(subset.mesh.triangles) * done // max(total, 1))
 
+    if subset.is_shared.any() and select_method(params).name == "jia01":
+        # Vertices of split edges would be missing in the adjacent part.
+        params = replace(params, jia01=replace(params.jia01, resolution=math.inf))
     with collecting(forward=False):
         return simplify(subset.mesh, params, lock=subset.find_locked_vertices(), progress=report_part)
 

@@ -271,7 +271,12 @@ def _tradeoff(mesh: MeshLike, params: TradeoffParams, counts: Sequence[int], pro
     is_flying = _find_flying(points, overshoots, measure.diagonal)
     for k in np.flatnonzero(is_flying).tolist():
         with collecting(forward=False):
-            meshes[k] = simplify(reference, triangles=points[k].triangles).mesh
+            meshes[k] = simplify(
+                reference,
+                triangles=points[k].triangles,
+                # The weight of colours depends on the count; here it is that of the other points.
+                attribute_scale=light.details.attribute_scale_m_per_level,
+            ).mesh
         points[k] = measure.measure_point(meshes[k], before, with_bytes=params.glb_bytes)
         overshoots[k] = measure.measure_overshoot(meshes[k])
     if is_flying.any():

@@ -17,8 +17,8 @@ def init(self, name, *args, **kwargs):
         print("packaged libusb loaded")
     real(self, name, *args, **kwargs)
 ctypes.CDLL.__init__ = init
-from scanloom.stages._open3d import open3d
-mesh = open3d().t.geometry.TriangleMesh.create_sphere()
+from scanloom.stages._open3d import import_open3d
+mesh = import_open3d().t.geometry.TriangleMesh.create_sphere()
 print(mesh.vertex.positions.shape[0])
 """
 
@@ -41,8 +41,8 @@ def test_imports_without_system_libusb():
 
 PLOT = """
 import sys
-from scanloom.stages._open3d import open3d
-plots = sys.modules[open3d().visualization.draw_plotly.__module__]
+from scanloom.stages._open3d import import_open3d
+plots = sys.modules[import_open3d().visualization.draw_plotly.__module__]
 assert "dash" not in sys.modules
 page = plots.html.Div(children=[plots.dcc.Graph(figure={})])
 server = plots.Dash("plots")

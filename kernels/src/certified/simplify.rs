@@ -161,7 +161,7 @@ pub fn simplify<const D: usize, const K: usize>(
     if D > 3 && options.weight > 0.0 && options.bounds.color == f64::INFINITY && !options.tight_bounds {
         let result = Surface::new(&mesh.points, &mesh.triangles, goal.threads)?;
         let proof = certify::Options { limit: None, threads: goal.threads, ..options.proof };
-        let found = certify::bound_whole(&result, ledger.surface(), &proof, progress)?;
+        let found = certify::bound_whole(&result, ledger.surface(), &proof, &mut progress.silent())?;
         let color = found.bound.color.min(bound_color_difference(&mesh.points, &original.points));
         certificate.bound.color = color;
         certificate.attained.color = found.attained.color;

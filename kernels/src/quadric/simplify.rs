@@ -11,7 +11,7 @@ use crate::quadric::qem::QemState;
 const LEFT_TO_ENGINE: usize = 50;
 
 /// Triangles that the passes leave at least. Edges of a small mesh collapse in no time.
-const MIN_LEFT: usize = 1 << 12;
+pub(super) const MIN_LEFT: usize = 1 << 12;
 
 /// Simplify by attribute quadrics until the goal is reached or no edge can collapse.
 ///

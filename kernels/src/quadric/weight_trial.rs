@@ -13,7 +13,7 @@ use crate::collapse::rounds::{Goal, REGION_TRIANGLES};
 use crate::collapse::whole_mesh::WholeMesh;
 use crate::quadric::color_weight::{grid_cell, hash_cell};
 use crate::quadric::qem::QemState;
-use crate::quadric::simplify::simplify_in_passes;
+use crate::quadric::simplify::{MIN_LEFT, simplify_in_passes};
 
 /// Maximum ratio of the shape error with colours to the error without.
 const MAX_SHAPE_ERROR_RATIO: f64 = 1.2;
@@ -72,6 +72,9 @@ fn is_larger(triangles: &[[u32; 3]], size: usize) -> bool {
 struct MeshSample<const D: usize> {
     points: Vec<[f64; D]>,
     triangles: Vec<[u32; 3]>,
+    /// Number of triangles that the passes leave to the collapse engine at least: as in the simplification of
+    /// the complete mesh.
+    left_by_passes: usize,
 }
 
 /// Return the mesh, or patches of it from random grid cells; the result does not depend on the number of
@@ -83,7 +86,11 @@ fn take_sample<const D: usize>(
     threads: usize,
 ) -> MeshSample<D> {
     if !is_larger(triangles, size) {
-        return MeshSample { points: points.to_vec(), triangles: triangles.to_vec() };
+        return MeshSample {
+            points: points.to_vec(),
+            triangles: triangles.to_vec(),
+            left_by_passes: MIN_LEFT,
+        };
     }
     let corner = |t: &[u32; 3]| t.map(|v| &points[v as usize]);
     let stride = triangles.len() / size;
@@ -127,7 +134,8 @@ fn split_into_fans<const D: usize>(points: &[[f64; D]], triangles: Vec<[u32; 3]>
         unite(&mut parent, pair[0].3, pair[1].3);
     }
     let mut number = vec![u32::MAX; parent.len()];
-    let mut sample = MeshSample { points: vec![], triangles: Vec::with_capacity(triangles.len()) };
+    let mut sample =
+        MeshSample { points: vec![], triangles: Vec::with_capacity(triangles.len()), left_by_passes: 0 };
     for (t, corners) in triangles.iter().enumerate() {
         let own = std::array::from_fn(|i| {
             let root = find_root(&mut parent, (3 * t + i) as u32) as usize;
@@ -194,6 +202,7 @@ impl<const D: usize> MeshSample<D> {
         MeshSample {
             points: self.points.iter().map(position_of).collect(),
             triangles: self.triangles.clone(),
+            left_by_passes: self.left_by_passes,
         }
     }
 
@@ -216,7 +225,7 @@ impl<const D: usize> MeshSample<D> {
             min_collapse_ratio: 0.0,
             record_positions: false,
         };
-        let mesh = match simplify_in_passes(whole, records, 0, &goal, progress) {
+        let mesh = match simplify_in_passes(whole, records, self.left_by_passes, &goal, progress) {
             Ok(outcome) => outcome.mesh,
             Err(error) if error.is_aborted() => return Err(error),
             Err(_) => return Ok(None),
@@ -265,7 +274,7 @@ mod tests {
         let weight = find_weight(&mesh, 0.1, 1);
         assert!(weight < 0.05, "{weight}");
         let (points, triangles) = mesh;
-        let sample = MeshSample { points, triangles };
+        let sample = MeshSample { points, triangles, left_by_passes: 0 };
         let control = RunControl::default();
         let error = |weight| {
             let left = sample.triangles.len() / 10;

@@ -52,11 +52,12 @@ class Jia01Limits:
 def resolve_limits(task: Task[Jia01Params]) -> Jia01Limits:
     """Complete the given limits by defaults, except the resolution.
 
-    Without a given resolution, the length of edges is unbounded. With a triangle count, limits of shape and
-    colour that were not given are infinite bounds, too.
+    Without a given resolution, or with an infinite one, the length of edges is unbounded. With a triangle
+    count, limits of shape and colour that were not given are infinite bounds, too.
     """
     mesh, only_given = task.mesh, task.triangles is not None
-    resolution, max_shape, max_color = task.params.resolution, task.max_shape, task.max_color
+    resolution = None if task.params.resolution == math.inf else task.params.resolution
+    max_shape, max_color = task.max_shape, task.max_color
     if max_shape is None:
         max_shape = _compute_default_shape(mesh, resolution, task.threads)
     if max_color is None:

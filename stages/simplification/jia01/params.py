@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from scanloom.stages.params import check_parameters, param
-from scanloom.stages.simplification.shared_params import require_finite
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -16,7 +15,7 @@ class Jia01Params:
         None,
         "Target edge length: longer edges are split first, and do not collapse. Default: 1.33 times the mean "
         "edge length weighted by length, or more if few triangles are needed or many edges would be split. "
-        "With a triangle count, longer edges collapse last by default.",
+        "With a triangle count, longer edges collapse last by default. inf: no limit, and no edge is split.",
         unit="m",
         low=0,
         low_open=True,
@@ -30,4 +29,3 @@ class Jia01Params:
 
     def __post_init__(self) -> None:
         check_parameters(self)
-        require_finite(self, "resolution")

@@ -21,7 +21,7 @@ from scanloom.stages.simplification.records.record import CollapseRecord
 from scanloom.stages.simplification.result import SimplificationResult
 from scanloom.stages.simplification.task import Task
 
-RESULT_VERSION = 5
+RESULT_VERSION = 6
 
 # Triangles per region of the collapse engine: small enough for the CPU caches.
 REGION_TRIANGLES = 8192

@@ -32,7 +32,7 @@ from scanloom.stages.surface.surface_color import get_vertex_attributes
 from scanloom.stages.surface.texture import Texture, compute_signed_areas
 from scanloom.stages.surface.topology import compute_areas
 
-RESULT_VERSION = 6
+RESULT_VERSION = 7
 
 # Triangles per region of the collapse engine: with all their attributes, they fit into the CPU caches.
 REGION_TRIANGLES = 2048

@@ -11,8 +11,10 @@ from chunked_sample import use_small_chunks
 from scanloom.stages.cleaning.chunked_clean import clean_chunked
 from scanloom.stages.cleaning.clean import CleanParams
 from scanloom.stages.comparing.certify import certify
+from scanloom.stages.diagnostics.errors import UsageError
 from scanloom.stages.simplification import chunked_simplify as simplify_in_pieces_module
 from scanloom.stages.simplification.chunked_simplify import simplify_chunked
+from scanloom.stages.simplification.jia01.params import Jia01Params
 from scanloom.stages.simplification.mesh_subsets import make_full_subset, split_subset
 from scanloom.stages.simplification.params import SimplifyParams
 from scanloom.stages.simplification.simplify import simplify
@@ -93,12 +95,18 @@ def test_regions_that_remain_large_are_halved(
         assert 0.198 < len(found.mesh.triangles) / len(given.triangles) <= 0.2
 
 
+def test_a_resolution_is_refused(path: Path) -> None:
+    with pytest.raises(UsageError, match=r"jia01\.resolution is not supported for a mesh that is too large"):
+        simplify_chunked(path, SimplifyParams(jia01=Jia01Params(resolution=0.1)))
+
+
 @pytest.mark.slow
 def test_without_options_the_result_fits_in_memory(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     free = simplify_chunked(path, SimplifyParams())
     assert free.diagnostics == ()
     monkeypatch.setattr(simplify_in_pieces_module, "MAX_IN_MEMORY_TRIANGLES", 1_200)
     assert len(free.mesh.triangles) > 1_200
+    assert_same_manifold(free.mesh, read_ply(path))
     found = simplify_chunked(path, SimplifyParams())
     assert len(found.mesh.triangles) <= 1_200
     assert any("default bounds" in str(one) and "1,200 are kept" in str(one) for one in found.diagnostics)
