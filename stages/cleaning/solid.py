@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scanloom.stages.cleaning.check import check
-from scanloom.stages.cleaning.codes import CLEAN_SOLID_INCOMPLETE
+from scanloom.stages.cleaning.codes import CLEAN_NOT_SOLID, CLEAN_SOLID_INCOMPLETE
 from scanloom.stages.cleaning.solids.attributes import transfer_attributes
 from scanloom.stages.cleaning.solids.booleans import require_manifold3d, trim_by_plane
 from scanloom.stages.cleaning.solids.border_closing import BasePlane, ClosingCounts, close_borders
@@ -27,6 +27,7 @@ from scanloom.stages.cleaning.solids.self_intersections import (
 from scanloom.stages.cleaning.solids.shell import Shell, compute_volumes
 from scanloom.stages.comparing.certify import certify
 from scanloom.stages.diagnostics.collector import emit
+from scanloom.stages.diagnostics.errors import MeshError
 from scanloom.stages.printing import format_by_metrics, render_table
 from scanloom.stages.surface.cross_products import compute_area_vectors
 from scanloom.stages.surface.edges import Ids, build_edges
@@ -108,7 +109,7 @@ def make_solid(
     Raises
     ------
     MeshError
-        If a component encloses no volume, and `wall` is 0.
+        If a component encloses no volume, and `wall` is 0, or nothing encloses a volume.
     UsageError
         If `manifold3d` is not installed.
     """
@@ -124,6 +125,13 @@ def make_solid(
     if base_plane is not None:
         # A rebuilt surface is not exact, and would reach below the plane.
         shell = trim_by_plane(shell, base_plane.normal, base_plane.offset_m)
+    if not len(shell.triangles):
+        raise MeshError(
+            CLEAN_NOT_SOLID,
+            "the closed surface winds around no volume",
+            "mesh",
+            remedy="check the orientation of the triangles, or set clean.max_shape to a smaller distance.",
+        )
     _report_unsound(shell)
     lost = measure_lost_ratio(given, shell, edge_length)
     if lost > MAX_LOST_RATIO:

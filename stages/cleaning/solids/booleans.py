@@ -52,6 +52,8 @@ def to_manifold(shell: Shell) -> Any:
 
 def trim_by_plane(shell: Shell, normal: NDArray[np.float64], offset: float) -> Shell:
     """Cut off what is below the plane of the points x with normal · x = offset."""
+    if not len(shell.vertices):
+        return shell
     tolerance = _TRIM_TOLERANCE * float(np.ptp(shell.vertices))
     if float((shell.vertices @ normal).min()) >= offset - tolerance:
         return shell

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
 
 from scanloom.stages.diagnostics.collector import emit
 from scanloom.stages.exporting.codes import EXPORT_NO_OBJECTS, EXPORT_NOT_SPLIT, EXPORT_OBJECT_CLOSED
@@ -55,6 +58,15 @@ def clip_by_base(parts: Sequence[ConvexPart], base: HalfSpace, overlap_m: float)
     """Cut off what is inside of a half-space; parts that get too many corners are split with an overlap."""
     clipped = [clip_part(part, base.offset_m - part.vertices @ base.normal) for part in parts]
     return [one for part in clipped for one in limit_corners(part, overlap_m)]
+
+
+def lower_floor(floor: HalfSpace, corners: Sequence[NDArray[np.float64]]) -> HalfSpace:
+    """Lower a half-space until no corners (k, 3) of other bodies are inside.
+
+    The planes of a floor differ slightly.
+    """
+    lowest = min(float((one @ floor.normal).min()) for one in corners)
+    return replace(floor, offset_m=min(floor.offset_m, lowest))
 
 
 def _plan_object(name: str, scanned: ScannedObject) -> BodyPlan:
@@ -109,6 +121,13 @@ def _report_division(divided: DividedScan) -> None:
                 left=", ".join(left),
             )
         )
+    if divided.torn:
+        emit(
+            EXPORT_NOT_SPLIT.info(
+                "{count} torn components inside of objects or next to them are left out",
+                count=divided.torn,
+            )
+        )
     for number, one in enumerate(divided.objects, 1):
         if one.stacked:
             emit(
@@ -128,12 +147,14 @@ def _report_division(divided: DividedScan) -> None:
                 )
             )
     if divided.objects:
+        shares = [
+            f"{one.added_ratio:.0%}" for one in sorted(divided.objects, key=lambda one: one.added_ratio)
+        ]
         emit(
             EXPORT_OBJECT_CLOSED.warning(
-                "objects are closed on the plane where they stood; {percent:.0%} to {most:.0%} of their "
-                "surface is added. The plane is flattened by up to {flattened_mm:.2g} mm",
-                percent=min(one.added_ratio for one in divided.objects),
-                most=max(one.added_ratio for one in divided.objects),
+                "objects are closed on the plane where they stood; {share} of their surface is added. The "
+                "plane is flattened by up to {flattened_mm:.2g} mm",
+                share=shares[0] if shares[0] == shares[-1] else f"{shares[0]} to {shares[-1]}",
                 flattened_mm=1000 * divided.flattened_m,
             )
         )

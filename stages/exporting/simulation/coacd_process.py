@@ -16,7 +16,8 @@ _SEARCH = {"mcts_iterations": 20, "mcts_nodes": 10, "mcts_max_depth": 2, "resolu
 def main() -> None:
     """Run the process.
 
-    Arguments: the file of the mesh, the file of the parts, and the maximum concavity in metres.
+    Arguments: the file of the mesh, the file of the parts, the maximum concavity in metres, and the mode of
+    CoACD's preprocessing.
     """
     serve_request(_decompose)
 
@@ -24,13 +25,14 @@ def main() -> None:
 def _decompose(arguments: list[str]) -> dict[str, Any]:
     import coacd
 
-    source, target, concavity = arguments
+    source, target, concavity, preprocessing = arguments
     coacd.set_log_level("off")
     with np.load(source) as mesh:
         found = coacd.run_coacd(
             coacd.Mesh(mesh["vertices"], mesh["triangles"]),
             threshold=float(concavity),
             real_metric=True,
+            preprocess_mode=preprocessing,
             **_SEARCH,
         )
     parts = [np.asarray(points, np.float64) for points, _ in found]

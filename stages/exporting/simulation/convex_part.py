@@ -139,15 +139,61 @@ def build_outline(points: Floats) -> Floats:
     return np.asarray(ConvexHull(points).equations, np.float64)
 
 
-def measure_separation(first: ConvexPart, second: ConvexPart) -> float:
-    """Measure by how much a face plane of one of two parts separates them, metres.
+def compute_separation(first: ConvexPart, second: ConvexPart) -> tuple[float, Floats, bool]:
+    """Compute by how much a face plane of one of two parts separates them.
 
-    The bodies are apart if the result is positive. The depth of an overlap is at most minus the result.
+    Returns
+    -------
+    separation : metres. The parts are apart if it is positive. The depth of an overlap is at most minus the
+        result.
+    plane : (4,) outward normal and offset of the face.
+    is_of_first : the face is one of the first part.
     """
-    return max(
-        float((second.vertices @ first.planes[:, :3].T + first.planes[:, 3]).min(axis=0).max()),
-        float((first.vertices @ second.planes[:, :3].T + second.planes[:, 3]).min(axis=0).max()),
+    found = []
+    for own, other in ((first, second), (second, first)):
+        heights = (other.vertices @ own.planes[:, :3].T + own.planes[:, 3]).min(axis=0)
+        face = int(heights.argmax())
+        found.append((float(heights[face]), own.planes[face], own is first))
+    return max(found, key=lambda one: one[0])
+
+
+def measure_separation(first: ConvexPart, second: ConvexPart) -> float:
+    """Return the separation of `compute_separation`, metres."""
+    return compute_separation(first, second)[0]
+
+
+def find_separating_plane(below: Floats, above: Floats) -> Floats | None:
+    """Find a plane between two sets of points by linear programming.
+
+    Returns
+    -------
+    (4,) unit normal and offset: normal · x + offset is negative for `below`, positive for `above`, and zero
+    in the middle between both. None if no plane is found.
+    """
+    from scipy.optimize import linprog
+
+    # Lengths are relative to the size of both sets, because the solver has absolute tolerances.
+    center = below.mean(axis=0)
+    size = max(float(np.abs(below - center).max()), float(np.abs(above - center).max()))
+    rows = np.concatenate(
+        [
+            np.column_stack([(below - center) / size, -np.ones(len(below)), np.ones(len(below))]),
+            np.column_stack([(center - above) / size, np.ones(len(above)), np.ones(len(above))]),
+        ]
     )
+    # Largest margin on both sides of the plane; the normal is bounded, so that a margin exists.
+    bounds = [(-1, 1)] * 3 + [(None, None)] * 2
+    solved = linprog([0, 0, 0, 0, -1], rows, np.zeros(len(rows)), bounds=bounds)
+    if solved.status != 0 or not solved.x[:3].any():
+        return None
+    normal = solved.x[:3] / np.linalg.norm(solved.x[:3])
+    low, high = float((below @ normal).max()), float((above @ normal).min())
+    return np.append(normal, -(low + high) / 2) if low < high else None
+
+
+def is_apart(first: ConvexPart, second: ConvexPart) -> bool:
+    """Return True if a plane is proven to separate two parts."""
+    return find_separating_plane(first.vertices, second.vertices) is not None
 
 
 class PartSet:

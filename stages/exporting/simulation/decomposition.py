@@ -47,6 +47,8 @@ MAX_CORNERS = 64
 # CoACD's time grows with the triangle count. The parts are grown to the full mesh afterwards.
 _MAX_TRIANGLES = 3000
 _MAX_CPU_SECONDS = 3600.0
+# CoACD's preprocessing, in the order of attempts. Its check for self-intersections aborts on some meshes.
+_PREPROCESSING = ("auto", "off", "on")
 # Shares of the permitted excess: hull of a portion, growth to cover a triangle, and removal of corners.
 # Corners are removed up to a small growth; the larger one is accepted if MAX_CORNERS allow no less. An object
 # rests on its outermost corners, so that growth there moves it.
@@ -134,7 +136,16 @@ class _SlabSearch:
         self._obstacles = obstacles
 
     def build_slab(self, pieces: Floats) -> ConvexPart:
-        return build_part(_back_pieces(pieces, _BACKING_RATIO * self._max_excess_m))
+        """Return the hull of pieces and copies behind them, or in front if there is an obstacle behind.
+
+        Folds have their back on either side.
+        """
+        depth = _BACKING_RATIO * self._max_excess_m
+        slab = build_part(_back_pieces(pieces, depth))
+        if self._obstacles.is_clear(slab):
+            return slab
+        turned = build_part(_back_pieces(pieces, -depth))
+        return turned if self._obstacles.is_clear(turned) else slab
 
     def find_boxes(self, surface: Mesh) -> tuple[list[ConvexPart], NDArray[np.bool_]]:
         """Return boxes on large planar patches, and a mask of the other triangles."""
@@ -225,19 +236,23 @@ def _run_coacd(mesh: Mesh, concavity_m: float) -> list[Floats]:
     with tempfile.TemporaryDirectory(prefix="scanloom-", ignore_cleanup_errors=True) as kept:
         source, target = Path(kept) / "mesh.npz", Path(kept) / "parts.npz"
         np.savez(source, vertices=mesh.vertices, triangles=mesh.triangles)
-        try:
-            run_reader_subprocess(
-                "scanloom.stages.exporting.simulation.coacd_process",
-                [str(source), str(target), repr(concavity_m)],
-                _MAX_CPU_SECONDS,
-            )
-        except SubprocessDiedError as error:
-            raise StageError(
-                EXPORT_DECOMPOSITION_FAILED,
-                "CoACD could not divide the mesh into convex parts ({detail})",
-                remedy="simplify or repair the mesh first.",
-                detail=error,
-            ) from error
+        for preprocessing in _PREPROCESSING:
+            try:
+                run_reader_subprocess(
+                    "scanloom.stages.exporting.simulation.coacd_process",
+                    [str(source), str(target), repr(concavity_m), preprocessing],
+                    _MAX_CPU_SECONDS,
+                )
+                break
+            except SubprocessDiedError as error:
+                if preprocessing != _PREPROCESSING[-1]:
+                    continue
+                raise StageError(
+                    EXPORT_DECOMPOSITION_FAILED,
+                    "CoACD could not divide the mesh into convex parts ({detail})",
+                    remedy="simplify or repair the mesh first.",
+                    detail=error,
+                ) from error
         with np.load(target) as found:
             points, counts = found["points"], found["counts"]
     return [one for one in np.split(points, np.cumsum(counts)[:-1]) if len(one)]

@@ -27,8 +27,14 @@ from scanloom.stages.exporting.codes import (
 )
 from scanloom.stages.exporting.export import rotate_mesh
 from scanloom.stages.exporting.image_conversion import convert_images
-from scanloom.stages.exporting.simulation.body import MESH_FOLDER, Body, BodyFiles, write_body_meshes
-from scanloom.stages.exporting.simulation.body_plan import BodyPlan, clip_by_base, plan_bodies
+from scanloom.stages.exporting.simulation.body import (
+    MESH_FOLDER,
+    Body,
+    BodyFiles,
+    write_body_meshes,
+)
+from scanloom.stages.exporting.simulation.body_plan import BodyPlan, clip_by_base, lower_floor, plan_bodies
+from scanloom.stages.exporting.simulation.clearance import clear_obstacles
 from scanloom.stages.exporting.simulation.collision_proof import (
     CollisionProof,
     measure_diagonal,
@@ -291,12 +297,10 @@ def _write_body(
             for part in other.parts
         ]
     )
-    # An object is made again with less excess if it overlaps another; a static body avoids others itself.
-    for _ in range(_MAX_ATTEMPTS):
-        body = _build_body(plan, geometry, limit, params, obstacles)
-        if plan.is_static or all(map(obstacles.is_clear, body.parts)):
-            break
-        limit = max(limit / 2, _MIN_EXCESS_RATIO * measure_diagonal(geometry.surface.vertices))
+    if plan.floor is not None:
+        corners = [part.vertices + other.position for other in others for part in other.parts]
+        plan = replace(plan, floor=lower_floor(plan.floor, corners))
+    body = _build_body(plan, geometry, limit, params, obstacles)
     files = write_body_meshes(draft, body)
     may_grow = params.max_excess is None and plan.base is None
     for _ in range(_MAX_ATTEMPTS - 1):
@@ -308,7 +312,7 @@ def _write_body(
         limit *= 2
         body = _build_body(plan, geometry, limit, params, obstacles)
         files = write_body_meshes(draft, body)
-    _report_body(body, limit, params)
+    _report_body(body, limit, params, has_obstacles=bool(others))
     return files, limit
 
 
@@ -393,9 +397,19 @@ def _build_body(
     )
 
 
-def _report_body(body: Body, limit_m: float, params: SimulationParams) -> None:
+def _report_body(body: Body, limit_m: float, params: SimulationParams, *, has_obstacles: bool) -> None:
     is_required = params.max_excess is not None
-    _report_collision(body.name, body.proof, limit_m, params.collision, is_required=is_required)
+    max_gap_m = limit_m if params.collision == "inside" or has_obstacles else 0.0
+    _report_collision(body.name, body.proof, limit_m, max_gap_m, is_required=is_required)
+    if has_obstacles and params.collision == "outside" and 0 < body.proof.gap_m <= limit_m:
+        emit(
+            EXPORT_COLLISION_LOOSE.info(
+                "{name}: the surface reaches up to {gap_mm:.3g} mm out of the collision geometry, which ends "
+                "at other bodies",
+                name=body.name,
+                gap_mm=1000 * body.proof.gap_m,
+            )
+        )
     if body.is_open and params.collision == "inside":
         emit(
             EXPORT_OPEN_BODY.warning(
@@ -455,11 +469,13 @@ def _decompose(
     surface = geometry.surface
     if not geometry.is_solid:
         parts = decompose_surface(surface, limit_m, obstacles)
+        parts = clear_obstacles(parts, obstacles, surface, _OVERLAP_RATIO * limit_m)
         return parts, prove_collision(surface, parts, is_solid=False, resolution_m=limit_m / 2)
     best = None
     for ratio in _CONCAVITY_RATIOS[params.collision]:
         if params.collision == "inside":
             parts = carve_parts(divide_solid(surface, ratio * limit_m), surface, limit_m)
+            parts = clear_obstacles(parts, obstacles, surface, _OVERLAP_RATIO * limit_m)
             if not parts:
                 continue
             proof = prove_inside(surface, parts)
@@ -467,6 +483,7 @@ def _decompose(
             parts = decompose_solid(surface, limit_m, ratio * limit_m)
             if plan.base is not None:
                 parts = clip_by_base(parts, plan.base, _OVERLAP_RATIO * limit_m)
+            parts = clear_obstacles(parts, obstacles, surface, _OVERLAP_RATIO * limit_m)
             proof = prove_collision(surface, parts, is_solid=True, resolution_m=limit_m / 2)
         if best is None or max(proof.excess_m, proof.gap_m) < max(best[1].excess_m, best[1].gap_m):
             best = parts, proof
@@ -483,7 +500,7 @@ def _decompose(
 
 
 def _report_collision(
-    name: str, proof: CollisionProof, limit_m: float, collision: str, *, is_required: bool
+    name: str, proof: CollisionProof, limit_m: float, max_gap_m: float, *, is_required: bool
 ) -> None:
     severity = Severity.UNMET if is_required else Severity.WARNING
     if proof.excess_m > limit_m:
@@ -503,7 +520,6 @@ def _report_collision(
                 },
             )
         )
-    max_gap_m = limit_m if collision == "inside" else 0.0
     if proof.gap_m > max_gap_m:
         emit(
             EXPORT_COLLISION_LOOSE.create(

@@ -7,6 +7,7 @@ plane. Walls do not: they are seen from inside. The plane is then flattened and 
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
@@ -26,8 +27,10 @@ from scanloom.stages.cleaning.solids.border_closing import (
 from scanloom.stages.cleaning.solids.shell import Shell, join_shells
 from scanloom.stages.diagnostics.collector import collecting
 from scanloom.stages.diagnostics.errors import MeshError
+from scanloom.stages.exporting.simulation.collision_proof import SolidDistance, measure_diagonal
 from scanloom.stages.exporting.simulation.convex_part import build_outline
 from scanloom.stages.exporting.simulation.plane_cut import cut_along_plane
+from scanloom.stages.exporting.simulation.solid import build_solid
 from scanloom.stages.exporting.simulation.support_planes import LevelPlane, find_support_planes
 from scanloom.stages.surface.edges import Ids, build_edges, label_components
 from scanloom.stages.surface.hole_filling import trace_border_loops
@@ -46,6 +49,12 @@ _MIN_SIZE_RATIO = 3.0
 _MAX_GAP_RATIO = 0.25
 # A component that contains this ratio of another support plane is furniture.
 _MIN_FURNITURE_RATIO = 0.2
+# Maximum distance by which self-intersecting surface of an object may move, per diagonal of the object. A
+# simplified mesh has long edges, from which no distance can be derived.
+_MAX_SHAPE_RATIO = 0.02
+# Components without volume that are inside of an object, or this near to it relative to its diagonal, are
+# torn parts of it. As static surface they would hold the object.
+_NEAR_RATIO = 0.05
 # Minimum height of a component on an object, as a ratio of the height of both.
 _MIN_STACKED_RATIO = 0.2
 # Objects start this far above their plane, as a ratio of the diagonal of the scan, so that bodies do not
@@ -89,6 +98,8 @@ class DividedScan:
     crumbs : number of components above a plane that are too small.
     sheets : number of components on a plane that enclose no volume, such as walls.
     furniture : number of components on a plane that carry another support plane or reach below the plane.
+    torn : number of components without volume that are left out, because they are inside of an object or next
+        to it.
     flattened_m : largest distance by which the surface of a plane was moved.
     """
 
@@ -98,6 +109,7 @@ class DividedScan:
     crumbs: int
     sheets: int
     furniture: int
+    torn: int
     flattened_m: float
 
 
@@ -116,33 +128,34 @@ def divide_scan(mesh: Mesh) -> DividedScan:
     while pending := [one for one in planes if not any(one.is_same(other.plane) for other in done)]:
         # The highest plane first: objects on a table are not part of the table.
         plane = max(pending, key=lambda one: one.offset_m)
-        division = _divide_at_plane(rest, plane, [one for one in planes if one is not plane], lift)
+        known = [one for own in done for one in own.objects]
+        division = _divide_at_plane(rest, plane, [one for one in planes if one is not plane], known, lift)
         done.append(division)
-        if division.objects:
+        if division.rest is not rest:
             rest = division.rest
             planes = find_support_planes(rest)
     objects = sorted((one for own in done for one in own.objects), key=lambda one: -one.volume_m3)
+    left = sum((own.left for own in done), Counter[str]())
     return DividedScan(
         objects=tuple(objects),
         rest=rest,
         planes=tuple(own.plane for own in done),
-        crumbs=sum(own.crumbs for own in done),
-        sheets=sum(own.sheets for own in done),
-        furniture=sum(own.furniture for own in done),
+        crumbs=left["crumbs"],
+        sheets=left["sheets"],
+        furniture=left["furniture"],
+        torn=left["torn"],
         flattened_m=max((own.flattened_m for own in done), default=0.0),
     )
 
 
 @dataclass(eq=False)
 class _PlaneDivision:
-    """Objects on one plane; see `DividedScan`."""
+    """Objects on one plane, and the number of other components by kind; see `DividedScan`."""
 
     plane: LevelPlane
     rest: Mesh
     objects: list[ScannedObject] = field(default_factory=list)
-    crumbs: int = 0
-    sheets: int = 0
-    furniture: int = 0
+    left: Counter[str] = field(default_factory=Counter)
     flattened_m: float = 0.0
 
 
@@ -167,37 +180,62 @@ class _CutMesh:
 
 
 def _divide_at_plane(
-    mesh: Mesh, plane: LevelPlane, others: Sequence[LevelPlane], lift_m: float
+    mesh: Mesh,
+    plane: LevelPlane,
+    others: Sequence[LevelPlane],
+    known: Sequence[ScannedObject],
+    lift_m: float,
 ) -> _PlaneDivision:
     cut = _cut_above(mesh, plane)
     shell, division = cut.shell, _PlaneDivision(plane, mesh)
     is_taken = np.zeros(len(shell.triangles), bool)
     caps: list[Shell] = []
+    left: list[tuple[Mask, str]] = []
     for chosen in _list_components(cut):
         used = np.unique(shell.triangles[chosen])
         contact = used[cut.in_zone[used]]
         if not _is_above(cut, used, contact, plane):
             # Legs of a table are only below; a shelf that continues above the plane is furniture.
-            division.furniture += bool(cut.on_cut[contact].any())
+            left.append((chosen, "furniture" if cut.on_cut[contact].any() else ""))
             continue
         size = float(np.ptp(shell.vertices[used], axis=0)[:2].max())
         if min(float(cut.heights[used].max()), size) < _MIN_SIZE_RATIO * plane.reach_m:
-            division.crumbs += 1
+            left.append((chosen, "crumbs"))
             continue
         if any(_contains(shell, chosen, mesh, other) for other in others):
-            division.furniture += 1
+            division.left["furniture"] += 1
             continue
         part = shell.select(chosen)
         closed = _close_object(transfer_attributes(part, mesh).mesh, plane, lift_m)
         if closed is None:
-            division.sheets += 1
+            left.append((chosen, "sheets"))
             continue
         division.objects.append(closed[0])
         caps += closed[1]
         is_taken |= chosen
-    if division.objects:
+    objects = [
+        (measure_diagonal(one.mesh.vertices), build_solid(one.mesh).surface)
+        for one in (*known, *division.objects)
+    ]
+    for chosen, kind in left:
+        points = shell.vertices[np.unique(shell.triangles[chosen])]
+        if any(_is_next_to(points, surface, _NEAR_RATIO * size) for size, surface in objects):
+            division.left["torn"] += 1
+            is_taken |= chosen
+        elif kind:
+            division.left[kind] += 1
+    if is_taken.any():
         division.rest, division.flattened_m = _close_plane(mesh, cut, plane, ~is_taken, caps)
     return division
+
+
+def _is_next_to(points: Floats, surface: Mesh, max_distance_m: float) -> bool:
+    """Return True if all points are inside of a closed surface, or near to it."""
+    low, high = surface.vertices.min(axis=0) - max_distance_m, surface.vertices.max(axis=0) + max_distance_m
+    if not ((points >= low) & (points <= high)).all():
+        return False
+    excess = SolidDistance(surface, is_solid=True).measure_excess(points)
+    return bool(excess.max() <= max_distance_m)
 
 
 def _cut_above(mesh: Mesh, plane: LevelPlane) -> _CutMesh:
@@ -264,9 +302,11 @@ def _close_object(part: Mesh, plane: LevelPlane, lift_m: float) -> tuple[Scanned
     loops, _ = trace_border_loops(part, edges)
     gap = float(plane.measure_heights(part.vertices).min())
     base_plane = BasePlane(plane.normal, plane.offset_m + lift_m, gap + plane.reach_m / 2)
+    edge_length = float(np.median(np.linalg.norm(np.diff(part.vertices[edges.ends], axis=1), axis=2)))
+    max_shape = min(edge_length / 2, _MAX_SHAPE_RATIO * measure_diagonal(part.vertices))
     try:
         with collecting(forward=False) as defects:
-            solid = make_solid(part, 0.0, None, base_plane)
+            solid = make_solid(part, 0.0, max_shape, base_plane)
     except MeshError as error:
         if error.diagnostic.code != CLEAN_NOT_SOLID.name:
             raise
@@ -281,7 +321,6 @@ def _close_object(part: Mesh, plane: LevelPlane, lift_m: float) -> tuple[Scanned
         stacked=_count_stacked(solid.mesh),
         is_sound=not defects,
     )
-    edge_length = float(np.median(np.linalg.norm(np.diff(part.vertices[edges.ends], axis=1), axis=2)))
     caps = []
     for own, _, _ in select_base_loops(part, loops, base_plane)[0]:
         rims = [part.vertices[loop] for loop in own]

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from scanloom.stages.exporting.simulation.body import Body
-from scanloom.stages.exporting.simulation.convex_part import ConvexPart, PartSet, measure_separation
+from scanloom.stages.exporting.simulation.convex_part import ConvexPart, PartSet, is_apart, measure_separation
 
 
 @dataclass(frozen=True)
@@ -52,20 +52,4 @@ def find_overlaps(bodies: Sequence[Body]) -> list[Overlap]:
 
 def _measure_depth(first: ConvexPart, second: ConvexPart) -> float:
     """Return an upper bound of the depth by which two parts overlap; 0 if a plane separates them."""
-    from scipy.optimize import linprog
-
-    # Largest margin of a plane between both sets of corners; the normal is bounded, so that a margin exists.
-    center = first.vertices.mean(axis=0)
-    rows = np.concatenate(
-        [
-            np.column_stack(
-                [first.vertices - center, -np.ones(len(first.vertices)), np.ones(len(first.vertices))]
-            ),
-            np.column_stack(
-                [center - second.vertices, np.ones(len(second.vertices)), np.ones(len(second.vertices))]
-            ),
-        ]
-    )
-    bounds = [(-1, 1)] * 3 + [(None, None)] * 2
-    solved = linprog([0, 0, 0, 0, -1], rows, np.zeros(len(rows)), bounds=bounds)
-    return 0.0 if solved.status == 0 and solved.x[4] > 0 else -measure_separation(first, second)
+    return 0.0 if is_apart(first, second) else -measure_separation(first, second)

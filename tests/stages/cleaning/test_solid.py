@@ -10,7 +10,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from scanloom import certify, check, clean, read_mesh, write_mesh
+from scanloom.stages.cleaning.solid import make_solid
 from scanloom.stages.cleaning.solids.booleans import trim_by_plane
+from scanloom.stages.cleaning.solids.border_closing import BasePlane
 from scanloom.stages.cleaning.solids.self_intersections import _rebuild, find_unsound
 from scanloom.stages.cleaning.solids.shell import Shell
 from scanloom.stages.diagnostics.errors import MeshError, UsageError
@@ -261,3 +263,8 @@ def test_a_trimmed_solid_ends_at_the_plane():
     heights = trimmed.vertices[trimmed.triangles] @ normal
     assert ((trimmed.source < 0) == (heights.max(axis=1) < 0.25 + 1e-9)).all()
     assert trim_by_plane(shell, normal, -1.5) is shell
+
+
+def test_nothing_above_the_plane_is_one_message():
+    with pytest.raises(MeshError, match="no volume"):
+        make_solid(make_ball(), 0.0, None, BasePlane(np.array([0.0, 0.0, 1.0]), 5.0, 0.1))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -12,6 +12,8 @@ from xml.etree import ElementTree as Xml
 import numpy as np
 import pytest
 import trimesh
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from objects_on_table import (
     BOX_CENTER,
     BOX_SIZE,
@@ -26,21 +28,31 @@ from objects_on_table import (
 
 from scanloom import Image, Material, Mesh, Texture, export_simulation
 from scanloom.stages.diagnostics.collector import collecting
-from scanloom.stages.exporting.simulation.body import Body
-from scanloom.stages.exporting.simulation.body_plan import plan_bodies
+from scanloom.stages.exporting.simulation import decomposition
+from scanloom.stages.exporting.simulation.body import Body, HalfSpace
+from scanloom.stages.exporting.simulation.body_plan import lower_floor, plan_bodies
+from scanloom.stages.exporting.simulation.clearance import clear_obstacles
 from scanloom.stages.exporting.simulation.collision_proof import prove_collision
 from scanloom.stages.exporting.simulation.convex_part import (
+    ConvexPart,
     PartSet,
     build_box,
     build_part,
+    find_separating_plane,
     fit_rectangle,
     measure_separation,
 )
-from scanloom.stages.exporting.simulation.decomposition import MAX_CORNERS, decompose_surface
+from scanloom.stages.exporting.simulation.decomposition import (
+    MAX_CORNERS,
+    decompose_solid,
+    decompose_surface,
+)
 from scanloom.stages.exporting.simulation.export_simulation import SimulationResult
 from scanloom.stages.exporting.simulation.object_splitting import DividedScan, divide_scan
 from scanloom.stages.exporting.simulation.overlaps import find_overlaps
 from scanloom.stages.exporting.simulation.plane_cut import cut_along_plane
+from scanloom.stages.files.subprocess_reader import SubprocessDiedError, run_reader_subprocess
+from scanloom.stages.surface.mesh_conversion import as_mesh
 from scanloom.stages.surface.topology import compute_areas, topology
 
 pytest.importorskip("coacd")
@@ -253,6 +265,36 @@ def test_an_object_that_is_seen_from_one_side_is_continued_to_the_table() -> Non
     assert heights.min() == pytest.approx(found.bottom_m - found.plane.offset_m, abs=1e-9)
 
 
+def add_sheet(mesh: Mesh, corner: tuple[float, float, float]) -> Mesh:
+    """Add an upright sheet of 4 cm × 3 cm, 5 cm above the table."""
+    sides = [(0, 0, 0), (0.04, 0, 0), (0.04, 0, 0.03), (0, 0, 0.03)]
+    start = len(mesh.vertices)
+    triangles = np.array([(0, 1, 2), (0, 2, 3)], np.int32) + start
+    return mesh.with_(
+        vertices=np.concatenate([mesh.vertices, np.add(corner, sides)]),
+        triangles=np.concatenate([mesh.triangles, triangles]).astype(np.int32),
+    )
+
+
+@pytest.mark.parametrize(
+    ("y", "torn"),
+    [
+        pytest.param(-0.05, 1, id="inside"),
+        pytest.param(-0.08, 1, id="next to it"),
+        pytest.param(-0.15, 0, id="apart"),
+    ],
+)
+def test_torn_sheets_of_an_object_do_not_stay_static(y: float, torn: int) -> None:
+    box = make_box((*BOX_SIZE[:2], BOX_SIZE[2] + 0.01), (0, 0), -0.01)
+    divided = divide_scan(add_sheet(scan_table([box]), (0.0, y, 0.05)))
+    assert len(divided.objects) == 1
+    assert divided.torn == torn
+    assert (divided.rest.vertices[:, 2].max() > 0.01) == (torn == 0)
+    with collecting() as diagnostics:
+        plan_bodies(add_sheet(scan_table([box]), (0.0, y, 0.05)))
+    assert any("1 torn components" in one.message for one in diagnostics) == (torn == 1)
+
+
 def test_a_wall_is_no_object() -> None:
     # A room corner, seen from inside.
     room = trimesh.creation.box((1, 1, 1)).subdivide().subdivide().subdivide()
@@ -352,3 +394,88 @@ def test_a_surface_avoids_obstacles_and_ends_at_those_on_it() -> None:
     assert 0 < len(touching) < len(parts) < 200
     corners = np.concatenate([part.vertices for part in touching])
     assert np.abs(corners[:, :2] - (-0.29, -0.19)).max() < 0.05
+
+
+def test_a_floor_is_below_all_bodies() -> None:
+    floor = HalfSpace(np.array([0.0, 0.0, 1.0]), 0.25)
+    corners = [np.array([(0.0, 0.0, 0.3), (1.0, 0.0, 0.247)]), np.array([(0.0, 0.0, 0.26)])]
+    assert lower_floor(floor, corners).offset_m == 0.247
+    assert lower_floor(floor, [corners[1]]).offset_m == 0.25
+
+
+def measure_common_volume(first: ConvexPart, second: ConvexPart) -> float:
+    """Measure by an independent library."""
+    manifold3d = pytest.importorskip("manifold3d")
+    one, other = (
+        manifold3d.Manifold(manifold3d.Mesh64(part.vertices, part.triangles.astype(np.uint64)))
+        for part in (first, second)
+    )
+    return float((one ^ other).volume())
+
+
+def make_cuboid(low: Sequence[float], high: Sequence[float]) -> ConvexPart:
+    return build_box(np.array([low, high], float), np.eye(3), 0.0)
+
+
+def test_a_part_keeps_its_surface_where_a_plane_separates_it_from_an_obstacle() -> None:
+    surface = as_mesh(trimesh.creation.box((1, 1, 1)))
+    part = make_cuboid((-0.55,) * 3, (0.55,) * 3)
+    obstacles = [make_cuboid((0.52, -1, -1), (0.8, 1, 1)), make_cuboid((-1, 0.51, -1), (1, 0.9, 1))]
+    (cleared,) = clear_obstacles([part], PartSet(obstacles), surface, 0.01)
+    assert prove_collision(surface, [cleared], is_solid=True).gap_m == 0
+    assert 0.5 < cleared.vertices[:, 0].max() < 0.52
+    assert 0.5 < cleared.vertices[:, 1].max() < 0.51
+    assert max(measure_common_volume(cleared, one) for one in obstacles) == 0
+
+
+def test_a_part_ends_at_an_obstacle_that_the_surface_enters() -> None:
+    surface = as_mesh(trimesh.creation.box((1, 1, 1)))
+    obstacle = make_cuboid((0.47, -1, -1), (0.8, 1, 1))
+    part = make_cuboid((-0.5,) * 3, (0.5,) * 3)
+    (cleared,) = clear_obstacles([part], PartSet([obstacle]), surface, 0.01)
+    assert measure_common_volume(cleared, obstacle) == 0
+    assert prove_collision(surface, [cleared], is_solid=True).gap_m == pytest.approx(0.03, abs=1e-5)
+    # Nothing is left of a part inside of an obstacle.
+    assert clear_obstacles([part], PartSet([make_cuboid((-1,) * 3, (1,) * 3)]), surface, 0.01) == []
+
+
+@settings(max_examples=40, deadline=None)
+@given(seed=st.integers(0, 2**31))
+def test_no_part_overlaps_random_obstacles_afterwards(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    parts = [build_part(rng.normal(rng.normal(0, 0.5, 3), 0.3, (12, 3))) for _ in range(3)]
+    obstacles = [build_part(rng.normal(rng.normal(0, 0.7, 3), 0.2, (8, 3))) for _ in range(4)]
+    surface = as_mesh(trimesh.creation.icosphere(1, 0.6))
+    cleared = clear_obstacles(parts, PartSet(obstacles), surface, 0.01)
+    assert sum(measure_common_volume(one, other) for one in cleared for other in obstacles) < 1e-12
+    # Nothing is added.
+    for one in cleared:
+        assert any(part.compute_heights(one.vertices).max() < 1e-9 for part in parts)
+
+
+@settings(max_examples=40, deadline=None)
+@given(seed=st.integers(0, 2**31))
+def test_a_plane_separates_points_or_there_is_none(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    below, above = rng.normal(0, 0.3, (20, 3)), rng.normal((rng.uniform(0, 3), 0, 0), 0.3, (15, 3))
+    plane = find_separating_plane(below, above)
+    if plane is not None:
+        assert np.linalg.norm(plane[:3]) == pytest.approx(1)
+        assert (below @ plane[:3] + plane[3]).max() < 0 < (above @ plane[:3] + plane[3]).min()
+    else:
+        assert measure_common_volume(build_part(below), build_part(above)) > 0
+
+
+def test_a_crash_of_coacd_leads_to_another_preprocessing(monkeypatch: pytest.MonkeyPatch) -> None:
+    tried = []
+
+    def run(module: str, arguments: list[str], seconds: float) -> dict[str, Any]:
+        tried.append(arguments[-1])
+        if arguments[-1] == "auto":
+            raise SubprocessDiedError("aborted")
+        return run_reader_subprocess(module, arguments, seconds)
+
+    monkeypatch.setattr(decomposition, "run_reader_subprocess", run)
+    parts = decompose_solid(as_mesh(trimesh.creation.box((1, 1, 1))), 0.02, 0.02)
+    assert tried == ["auto", "off"]
+    assert len(parts) == 1
