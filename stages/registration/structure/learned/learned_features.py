@@ -22,7 +22,6 @@ from scanloom.stages.registration.structure.learned.xfeat import (
 )
 from scanloom.stages.registration.structure.photo_features import PhotoFeatures, read_photo
 from scanloom.stages.registration.structure.photo_matching import match_photos
-from scanloom.stages.scans.model.prefetch import get_worker_count, map_ordered
 from scanloom.stages.scans.model.scan import Frame
 from scanloom.stages.surface.codes import MACHINE_EXTRA_MISSING
 
@@ -115,14 +114,9 @@ def match_learned_photos(
 ) -> Iterator[tuple[tuple[int, int], NDArray[np.int64]]]:
     """Match both kinds of features; see `match_photos`."""
 
-    def match_pair(pair: tuple[int, int]) -> NDArray[np.int64]:
+    # One pair at a time: the matrix products use all cores.
+    for pair, found in match_photos([one.features for one in photos], pairs, max_ratio):
         first, second = (photos[index] for index in pair)
-        found = match_learned_keypoints(first.keypoints, second.keypoints, weights.matcher)
+        learned = match_learned_keypoints(first.keypoints, second.keypoints, weights.matcher)
         offsets = np.array([len(one.features.descriptors) for one in (first, second)])
-        return np.asarray(found + offsets)
-
-    threads = get_worker_count()
-    learned = map_ordered(match_pair, pairs, threads=threads, max_pending=2 * threads)
-    others = match_photos([one.features for one in photos], pairs, max_ratio)
-    for (pair, found), more in zip(others, learned, strict=True):
-        yield pair, np.concatenate((found, more))
+        yield pair, np.concatenate((found, learned + offsets))
