@@ -113,7 +113,6 @@ def match_learned_photos(
     weights: LearnedWeights,
 ) -> Iterator[tuple[tuple[int, int], NDArray[np.int64]]]:
     """Match both kinds of features; see `match_photos`."""
-
     # One pair at a time: the matrix products use all cores.
     for pair, found in match_photos([one.features for one in photos], pairs, max_ratio):
         first, second = (photos[index] for index in pair)
