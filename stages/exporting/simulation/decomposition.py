@@ -331,13 +331,15 @@ def compute_grid_step(surface: Mesh) -> float:
 
 
 def _cover_surface(parts: list[ConvexPart], pieces: Floats, max_excess_m: float) -> list[ConvexPart]:
-    """Grow parts until each triangle, or each of its pieces, is inside one part."""
+    """Grow parts until each triangle, or each of its pieces, is inside one part.
+
+    A triangle is bisected only where several parts together need to grow less than one part.
+    """
     added: list[list[Floats]] = [[] for _ in parts]
     tolerance = _COVER_RATIO * max_excess_m
     while len(pieces):
-        growth, chosen = _find_nearest_parts(pieces, parts, max_excess_m)
-        is_short = measure_longest_sides(pieces) <= tolerance
-        is_assigned = (growth <= tolerance) | is_short
+        growth, chosen, least = _find_nearest_parts(pieces, parts, max_excess_m)
+        is_assigned = (growth <= least + tolerance) | (measure_longest_sides(pieces) <= tolerance)
         for index in np.unique(chosen[is_assigned & (growth > 0)]).tolist():
             added[index].append(pieces[is_assigned & (growth > 0) & (chosen == index)].reshape(-1, 3))
         pieces = bisect_triangles(pieces[~is_assigned])
@@ -349,14 +351,21 @@ def _cover_surface(parts: list[ConvexPart], pieces: Floats, max_excess_m: float)
 
 def _find_nearest_parts(
     pieces: Floats, parts: Sequence[ConvexPart], reach_m: float
-) -> tuple[Floats, NDArray[np.int64]]:
-    """Return the height (n,) of triangles above the planes of their nearest part, and that part (n,).
+) -> tuple[Floats, NDArray[np.int64], Floats]:
+    """Find the part of each triangle that must grow least to contain it.
 
-    The height is 0 for a triangle inside the part. Parts farther than `reach_m` are only compared if no
-    other is nearer.
+    Parts farther than `reach_m` are only compared if no other is nearer.
+
+    Returns
+    -------
+    growth : (n,) height of the triangle above the planes of that part; 0 for a triangle inside.
+    chosen : (n,) that part.
+    least : (n,) lower bound of the growth for the pieces of the triangle together: the largest height of a
+        corner above its own nearest part.
     """
     growth = np.full(len(pieces), np.inf)
     chosen = np.zeros(len(pieces), np.int64)
+    of_corner = np.full((len(pieces), 3), np.inf)
     low, high = pieces.min(axis=1), pieces.max(axis=1)
     for reach in (reach_m, np.inf):
         missing = growth == np.inf
@@ -364,12 +373,16 @@ def _find_nearest_parts(
             break
         for index, part in enumerate(parts):
             bottom, top = part.vertices.min(axis=0) - reach, part.vertices.max(axis=0) + reach
-            rows = np.flatnonzero(missing & ((low >= bottom) & (high <= top)).all(axis=1))
-            heights = part.compute_heights(pieces[rows].reshape(-1, 3)).reshape(-1, 3).max(axis=1, initial=0)
+            rows = np.flatnonzero(missing & ((high >= bottom) & (low <= top)).all(axis=1))
+            heights = part.compute_heights(pieces[rows].reshape(-1, 3)).reshape(-1, 3)
             heights[heights <= part.slack_m] = 0
-            closer = heights < growth[rows]
-            growth[rows[closer]], chosen[rows[closer]] = heights[closer], index
-    return growth, chosen
+            of_corner[rows] = np.minimum(of_corner[rows], heights)
+            highest = heights.max(axis=1, initial=0)
+            is_near = ((low[rows] >= bottom) & (high[rows] <= top)).all(axis=1)
+            closer = is_near & (highest < growth[rows])
+            growth[rows[closer]], chosen[rows[closer]] = highest[closer], index
+    # A corner outside of all boxes has an unknown height.
+    return growth, chosen, np.where(np.isfinite(of_corner), of_corner, 0.0).max(axis=1)
 
 
 def _reduce_corners(
