@@ -116,7 +116,7 @@ FILE_TEXTURE_ENCODER_FAILED = Code(
     "KTX2 images that cannot be encoded",
     """
 The Node package `ktx2-encoder` is too old, ran out of memory, or needed more than an hour. The message quotes
-its error. Update the package, or use `export.images=webp`.
+its error. Update the package, or write WebP images.
 """,
     (
         "ktx2-encoder could not encode an image of 2048 × 1024 texels (Error: version 0.5.1 of ktx2-encoder "

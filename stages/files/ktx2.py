@@ -1,7 +1,7 @@
 """KTX2 images with Basis Universal compression, through the npm package `ktx2-encoder`.
 
 Source: Khronos Group, "KHR_texture_basisu", 2021, and "KTX file format specification 2.0", 2021. The npm
-package is Basis Universal compiled to WebAssembly. It installs on every system, writes the same bytes there,
+package is Basis Universal compiled to WebAssembly. WebAssembly runs on every system with the same arithmetic,
 and confines damaged images.
 """
 
