@@ -57,6 +57,7 @@ def test_the_wheel_holds_one_package(wheel: Path) -> None:
 
     sources = {p.relative_to(ROOT).as_posix() for one in PACKAGES for p in (ROOT / one).rglob("*.py")}
     assert {f"scanloom/{source}" for source in sources} <= names
+    assert "scanloom/stages/files/ktx2_codec.mjs" in names
 
     page = ROOT / "pipeline" / "report" / "page"
     shown = {page / "library.js", page / "LICENSES.txt", *(page / "tiles").iterdir()}

@@ -31,6 +31,18 @@ USD read only PNG and JPEG.
 """,
     "the image glass.png is transparent: it is stored as PNG, because JPEG has no transparency",
 )
+EXPORT_IMAGE_REDUCED = Code(
+    "export.image-reduced",
+    "Images downsampled for their encoder",
+    """
+A warning. The encoder of KTX2 images accepts at most 12,582,912 texels, for example 4096 × 3072. Textures of
+larger models are better divided into several images, or written as WebP.
+""",
+    (
+        "the image photos-1.jpg of 4096 × 4096 texels is downsampled, because the KTX2 encoder accepts at "
+        "most 12,582,912; use `webp` or a smaller `image_size`."
+    ),
+)
 EXPORT_USD_FAILED = Code(
     "export.usd-failed",
     "USD package that cannot be created",

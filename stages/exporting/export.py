@@ -15,11 +15,12 @@ from scanloom.stages.diagnostics.collector import collecting, emit
 from scanloom.stages.diagnostics.diagnostic import Diagnostic, DiagnosticLocation
 from scanloom.stages.diagnostics.errors import UsageError
 from scanloom.stages.exporting.codes import EXPORT_LEFT_OUT, EXPORT_UP_UNKNOWN
-from scanloom.stages.exporting.image_conversion import IMAGE_FORMATS, convert_images
+from scanloom.stages.exporting.image_conversion import IMAGE_FORMATS, convert_images, make_ktx2_encoder
 from scanloom.stages.exporting.print_preparation import prepare_print
 from scanloom.stages.exporting.threemf import write_3mf
 from scanloom.stages.exporting.usd import USD_SUFFIXES as USD
 from scanloom.stages.exporting.usd import require_usd, write_usd
+from scanloom.stages.files.ktx2 import require_ktx2_encoder
 from scanloom.stages.params import check_parameters as check_params
 from scanloom.stages.params import param, resolve
 from scanloom.stages.printing import format_by_metrics, render_table
@@ -106,9 +107,12 @@ class ExportParams:
         choices=SHADINGS,
     )
     images: str = param(
-        "keep", "Format of texture images; `keep` stores them unchanged.", choices=IMAGE_FORMATS
+        "keep",
+        "Format of texture images; `keep` stores them unchanged. `ktx2` stays compressed in the memory of a "
+        "graphics card; viewers of this glTF file must support KHR_texture_basisu.",
+        choices=IMAGE_FORMATS,
     )
-    quality: int = param(90, "Quality of JPEG and WebP images that are encoded.", low=1, high=100)
+    quality: int = param(90, "Quality of JPEG, WebP and KTX2 images that are encoded.", low=1, high=100)
     image_size: int = param(
         16384, "Maximum longer side of texture images; larger ones are downsampled.", unit="pixels", low=16
     )
@@ -223,6 +227,8 @@ def export(
     UsageError
         If the extension is unknown, if a parameter is out of range or has no effect on the format, or if USD
         is requested without `usd-core` installed.
+    InputError
+        If KTX2 images are requested without their encoder installed.
     MeshError
         If the mesh is invalid.
     StageError
@@ -259,6 +265,9 @@ def _write_export(mesh: MeshLike, path: Path, params: ExportParams) -> ExportRes
             shading=params.shading,
             position_bits=params.position_bits,
             texel_steps=params.texel_steps,
+            encode_image=(
+                make_ktx2_encoder(params.quality, params.image_size) if params.images == "ktx2" else None
+            ),
         )
     elif suffix in USD:
         write_usd(path, written)
@@ -295,6 +304,8 @@ def require_supported_params(path: Path, params: ExportParams) -> None:
     ------
     UsageError
         If the extension is unknown, the format ignores a given parameter, or `usd-core` is missing.
+    InputError
+        If the encoder of KTX2 images is required and missing.
     """
     suffix = path.suffix.lower()
     if suffix not in EXPORT_SUFFIXES:
@@ -311,6 +322,13 @@ def require_supported_params(path: Path, params: ExportParams) -> None:
         raise UsageError(
             USAGE_OPTIONS_CONFLICT,
             "compress and shading apply only to glTF",
+            remedy="write .glb.",
+            where=path,
+        )
+    if suffix not in GLTF_SUFFIXES and params.images == "ktx2":
+        raise UsageError(
+            USAGE_OPTIONS_CONFLICT,
+            "KTX2 images apply only to glTF",
             remedy="write .glb.",
             where=path,
         )
@@ -335,6 +353,8 @@ def require_supported_params(path: Path, params: ExportParams) -> None:
         require_manifold3d()
     if suffix in USD:
         require_usd()
+    if params.images == "ktx2":
+        require_ktx2_encoder()
 
 
 def _compute_position_error(mesh: Mesh, bits: int) -> float:

@@ -97,3 +97,29 @@ before the damage is used, with a warning. ROS's own tools can repair such a fil
 """,
     "room.bag: its record at byte 81920 of 90112 is damaged or cut short",
 )
+FILE_TEXTURE_ENCODER_MISSING = Code(
+    "file.texture-encoder-missing",
+    "Missing encoder of KTX2 images",
+    """
+KTX2 images are encoded and decoded by the Node package `ktx2-encoder`. Install Node 20 or later, then run
+`npm install --global ktx2-encoder`. Without a global installation, set the environment variable `NODE_PATH`
+to the folder `node_modules` that contains the package. KTX2 images of a mesh can be copied to another glTF
+file without the package.
+""",
+    (
+        "KTX2 images require the Node package ktx2-encoder; run `npm install --global ktx2-encoder`, or set "
+        "NODE_PATH to the `node_modules` that has it."
+    ),
+)
+FILE_TEXTURE_ENCODER_FAILED = Code(
+    "file.texture-encoder-failed",
+    "KTX2 images that cannot be encoded",
+    """
+The Node package `ktx2-encoder` is too old, ran out of memory, or needed more than an hour. The message quotes
+its error. Update the package, or write WebP images.
+""",
+    (
+        "ktx2-encoder could not encode an image of 2048 × 1024 texels (Error: version 0.5.1 of ktx2-encoder "
+        "is too old); update it with `npm install --global ktx2-encoder`, or write WebP."
+    ),
+)

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 PNG_MAGIC = b"\x89PNG\r\n\x1a\n"
+_KTX2_MAGIC = b"\xabKTX 20\xbb\r\n\x1a\n"
 # Magic bytes, extension and media type of the formats that textures have.
 _TEXTURE_MAGICS = (
     (PNG_MAGIC, ".png", "image/png"),
@@ -18,6 +19,7 @@ _TEXTURE_MAGICS = (
     (b"GIF89a", ".gif", "image/gif"),
     (b"II*\0", ".tif", "image/tiff"),
     (b"MM\0*", ".tif", "image/tiff"),
+    (_KTX2_MAGIC, ".ktx2", "image/ktx2"),
 )
 _UNKNOWN = ("", "application/octet-stream")
 # Second byte of netpbm files: bitmaps, greymaps, pixmaps, and PFM.
@@ -34,6 +36,7 @@ _UNSUPPORTED_MAGICS = (
     (0, b"%!PS", "PostScript"),
     (0, b"DDS ", "DDS"),
     (0, b"#?RADIANCE", "Radiance HDR"),
+    (0, _KTX2_MAGIC, "KTX2"),
 )
 # JPEG markers of a frame header, which holds the image size: SOF0-15 without DHT, JPG and DAC.
 _JPEG_FRAMES = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
@@ -65,7 +68,9 @@ def detect_image_type(data: bytes, name: str = "") -> tuple[str, str]:
 
 
 def detect_image_format(data: bytes, name: str = "") -> str:
-    """Detect the extension of an image that is decoded; empty for every other content."""
+    """Detect the extension of an image that `decode_image` decodes; empty for every other content."""
+    if data.startswith(_KTX2_MAGIC):
+        return ""
     if data[:1] == b"P" and data[1:2] in {bytes((kind,)) for kind in _PNM_KINDS} and data[2:3].isspace():
         return ".pnm"
     return detect_image_type(data, name)[0]
@@ -79,9 +84,9 @@ def name_unsupported_format(data: bytes) -> str:
 def read_header_size(data: bytes, name: str = "") -> tuple[int, int] | None:
     """Read the (width, height) that an image header states, unchecked.
 
-    For TIFF, the larger of image and tile. None for formats that are not decoded, and for damaged headers.
+    For TIFF, the larger of image and tile. None for unknown formats and damaged headers.
     """
-    read = _SIZE_READERS.get(detect_image_format(data, name))
+    read = _SIZE_READERS.get(detect_image_format(data, name) or detect_image_type(data, name)[0])
     return None if read is None else read(data)
 
 
@@ -189,6 +194,12 @@ def _has_tga_header(data: bytes) -> bool:
     )
 
 
+def _read_ktx2_size(data: bytes) -> tuple[int, int] | None:
+    if len(data) < 28:
+        return None
+    return int.from_bytes(data[20:24], "little"), int.from_bytes(data[24:28], "little")
+
+
 def _read_pnm_size(data: bytes) -> tuple[int, int] | None:
     lines = data[2:_MAX_PNM_HEADER_BYTES].split(b"\n")
     # The last line may be cut, or pixels.
@@ -207,4 +218,5 @@ _SIZE_READERS: dict[str, Callable[[bytes], tuple[int, int] | None]] = {
     ".webp": _read_webp_size,
     ".tga": _read_tga_size,
     ".pnm": _read_pnm_size,
+    ".ktx2": _read_ktx2_size,
 }

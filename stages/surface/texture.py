@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from scanloom.stages.diagnostics.codes import USAGE_ARGUMENT_INVALID
-from scanloom.stages.diagnostics.errors import MeshError
+from scanloom.stages.diagnostics.errors import InputError, MeshError
 from scanloom.stages.files.image_bytes import decode_image, encode_png
 from scanloom.stages.files.image_headers import detect_image_type, read_header_size
+from scanloom.stages.files.ktx2 import KTX2_MIME, decode_ktx2
 from scanloom.stages.printing import format_count, format_line
 from scanloom.stages.surface.codes import MESH_NOT_FINITE, MESH_TEXTURE_DAMAGED
 
@@ -53,7 +54,14 @@ class Image:
         """
         if self.given is not None:
             return self.given
-        pixels = None if self.encoded is None else decode_image(self.encoded, self.name)
+        pixels = None
+        if self.mime == KTX2_MIME and self.encoded is not None:
+            try:
+                pixels = decode_ktx2(self.encoded)
+            except InputError as error:
+                raise MeshError.from_diagnostic(error.diagnostic) from error
+        elif self.encoded is not None:
+            pixels = decode_image(self.encoded, self.name)
         if pixels is None:
             raise MeshError(
                 MESH_TEXTURE_DAMAGED,

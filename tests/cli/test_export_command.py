@@ -90,6 +90,17 @@ def test_bad_export_input_is_one_error_and_writes_nothing(
     assert sorted(tmp_path.iterdir()) == before
 
 
+def test_a_missing_ktx2_encoder_is_one_error(
+    scanloom: Run, model: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("PATH", "")
+    target = tmp_path / "web.glb"
+    ran = scanloom("export", model, target, "--preset", "web", "--set", "export.images=ktx2")
+    assert ran.exit_code == 3
+    assert "npm install --global ktx2-encoder" in ran.stderr
+    assert not target.exists()
+
+
 def test_a_missing_file_is_reported(scanloom: Run, tmp_path: Path) -> None:
     ran = scanloom("export", tmp_path / "none.glb", tmp_path / "out.glb")
     assert (ran.exit_code, "there is no such file" in ran.stderr) == (3, True)

@@ -73,3 +73,10 @@ def run_node(script: Path, *words: Path | str) -> Any:
     )
     assert ran.returncode == 0, ran.stderr
     return json.loads(ran.stdout) if ran.stdout else None
+
+
+def require_ktx2_packages(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let scanloom find the encoder of KTX2 images in the packages of `make packages`."""
+    if shutil.which("node") is None or not (PAGE / "node_modules" / "ktx2-encoder").is_dir():
+        skip_missing_tool("Node or its package ktx2-encoder is missing: make packages")
+    monkeypatch.setenv("NODE_PATH", str(PAGE / "node_modules"))

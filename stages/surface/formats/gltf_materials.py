@@ -7,18 +7,20 @@ unchanged for writing. Colours are linear in glTF and sRGB in `Material`.
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, TypeAlias
 from urllib.parse import unquote
 
 import numpy as np
 from numpy.typing import NDArray
 
 from scanloom.stages.diagnostics.collector import emit
-from scanloom.stages.diagnostics.errors import MeshError
+from scanloom.stages.diagnostics.diagnostic import Severity
+from scanloom.stages.diagnostics.errors import InputError, MeshError
 from scanloom.stages.files.image_bytes import encode_png
 from scanloom.stages.files.image_headers import detect_image_type
+from scanloom.stages.files.ktx2 import KTX2_MIME, require_ktx2_encoder
 from scanloom.stages.surface.codes import MESH_LEFT_OUT, MESH_TEXTURE_DAMAGED
 from scanloom.stages.surface.formats.color_conversion import convert_linear_to_srgb, convert_srgb_to_linear
 from scanloom.stages.surface.formats.gltf_container import (
@@ -34,10 +36,14 @@ WRAP_MODES = {10497: "repeat", 33071: "clamp", 33648: "mirror"}
 # Sampler of an atlas, whose texture coordinates stay inside the image.
 CLAMP_SAMPLER: JsonObject = {"wrapS": 33071, "wrapT": 33071}
 _TEXTURE_TRANSFORM = "KHR_texture_transform"
-# Core glTF allows PNG and JPEG; most programs support the WebP extension.
-_SUPPORTED_MEDIA_TYPES = ("image/png", "image/jpeg", "image/webp")
-_WEBP = "EXT_texture_webp"
+_BASE_COLOR_TEXTURE = "baseColorTexture"
+# Core glTF allows PNG and JPEG; other media types need an extension.
+_CORE_MEDIA_TYPES = ("image/png", "image/jpeg")
+_TEXTURE_EXTENSIONS = {"image/webp": "EXT_texture_webp", KTX2_MIME: "KHR_texture_basisu"}
 UNLIT = "KHR_materials_unlit"
+# Keys of the textures that hold sRGB colours; those of other textures are linear values.
+_COLOR_TEXTURES = ("emissiveTexture", "diffuseTexture", "specularGlossinessTexture")
+_COLOR_TEXTURE_SUFFIX = "ColorTexture"
 # Material properties of glTF 2.0; others are non-standard and are dropped.
 _KNOWN_PROPERTIES = (
     *("name", "pbrMetallicRoughness", "normalTexture", "occlusionTexture", "emissiveTexture"),
@@ -46,6 +52,9 @@ _KNOWN_PROPERTIES = (
 # Written for faces without a material, because glTF's default material is metallic. Read back as no material.
 _DEFAULT_MATERIAL: JsonObject = {"pbrMetallicRoughness": {"metallicFactor": 0.0, "roughnessFactor": 1.0}}
 _DEFAULT_UNLIT_MATERIAL: JsonObject = {**_DEFAULT_MATERIAL, "extensions": {UNLIT: {}}}
+
+# Encoder of an image; its second argument is one of IMAGE_KINDS.
+ImageEncoder: TypeAlias = Callable[[Image, str], Image]
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,6 +109,7 @@ class MaterialReader:
         self._gltf = gltf
         self._images_by_index: dict[int, Image | None] = {}
         self._materials_by_index: dict[int, tuple[int, UvPlacement]] = {}
+        self._is_decoder_checked = False
         self.materials: list[Material] = []
 
     def read_material(self, index: Any, *, with_colors: bool) -> tuple[int, UvPlacement]:
@@ -122,7 +132,7 @@ class MaterialReader:
         tree = {key: value for key, value in tree.items() if key in _KNOWN_PROPERTIES}
         name = str(tree.get("name", ""))
         surface = tree.get("pbrMetallicRoughness", {})
-        base = surface.get("baseColorTexture")
+        base = surface.get(_BASE_COLOR_TEXTURE)
         references = list(_find_texture_references(tree))
         placement = UvPlacement()
         if base is not None or references:
@@ -195,7 +205,21 @@ class MaterialReader:
                 )
             )
             return None
-        return Image(name, data)
+        image = Image(name, data)
+        if image.mime == KTX2_MIME:
+            self._check_decoder()
+        return image
+
+    def _check_decoder(self) -> None:
+        """Warn if KTX2 images can be copied, but not decoded."""
+        if self._is_decoder_checked:
+            return
+        self._is_decoder_checked = True
+        try:
+            require_ktx2_encoder()
+        except InputError as error:
+            diagnostic = error.diagnostic.replace_location(self._gltf.path)
+            emit(replace(diagnostic, severity=Severity.WARNING))
 
 
 def _find_texture_references(tree: Any) -> Iterator[tuple[JsonObject, str]]:
@@ -285,15 +309,19 @@ class MaterialWriter:
     tree : glTF description; receives "materials", "textures", "samplers" and "extensionsUsed".
     shading : one of SHADINGS, see `write_gltf`.
     bare_colors : True to write vertex colours without a material.
+    encode_image : encoder of the images; None stores them unchanged.
     images : (bytes, media type, name) of each image; textures refer to their index.
     """
 
-    def __init__(self, tree: JsonObject, shading: str, *, bare_colors: bool) -> None:
+    def __init__(
+        self, tree: JsonObject, shading: str, *, bare_colors: bool, encode_image: ImageEncoder | None = None
+    ) -> None:
         self.tree = tree
         self._shading = shading
         self._bare_colors = bare_colors
+        self._encode_image = encode_image
         self.images: list[tuple[bytes, str, str]] = []
-        self._image_indices: dict[int, int | None] = {}
+        self._image_indices: dict[tuple[int, str], int | None] = {}
 
     def add_material(
         self, material: Material | None, *, with_colors: bool, steps: tuple[int, int] | None = None
@@ -329,9 +357,9 @@ class MaterialWriter:
         has_other_image = material.image is not kept.image or material.wrap != kept.wrap
         if has_other_image:
             # Must come before images are stored: the file no longer uses this image.
-            surface.pop("baseColorTexture", None)
+            surface.pop(_BASE_COLOR_TEXTURE, None)
         for holder, key in list(_find_texture_references(tree)):
-            number = self._add_texture(*kept.textures[holder[key]["index"]])
+            number = self._add_texture(*kept.textures[holder[key]["index"]], key)
             if number is None:
                 del holder[key]
             else:
@@ -346,9 +374,9 @@ class MaterialWriter:
                 light = convert_srgb_to_linear(np.array(material.base_color[:3])).tolist()
                 surface["baseColorFactor"] = [*light, float(material.base_color[3])]
         if has_other_image and material.image is not None:
-            number = self._add_texture(material.image, _make_sampler(material.wrap))
+            number = self._add_texture(material.image, _make_sampler(material.wrap), _BASE_COLOR_TEXTURE)
             if number is not None:
-                surface["baseColorTexture"] = {"index": number}
+                surface[_BASE_COLOR_TEXTURE] = {"index": number}
         if steps is not None:
             for holder, key in _find_texture_references(tree):
                 moved = {"scale": [1 / count for count in steps]}
@@ -360,25 +388,29 @@ class MaterialWriter:
             self._add_entry("extensionsUsed", name)
         return self._add_entry("materials", tree)
 
-    def _add_texture(self, image: Image, sampler: JsonObject) -> int | None:
-        """Add a texture and return its index; None if its image cannot be stored."""
-        if id(image) not in self._image_indices:
-            self._image_indices[id(image)] = self._store_image(image)
-        source = self._image_indices[id(image)]
+    def _add_texture(self, image: Image, sampler: JsonObject, key: str) -> int | None:
+        """Add the texture of a material's key; return its index, or None if the image cannot be stored."""
+        kind = "" if self._encode_image is None else _get_image_kind(key)
+        if (id(image), kind) not in self._image_indices:
+            self._image_indices[id(image), kind] = self._store_image(image, kind)
+        source = self._image_indices[id(image), kind]
         if source is None:
             return None
         texture: JsonObject = {"source": source}
-        if self.images[source][1] == "image/webp":
-            texture = {"extensions": {_WEBP: texture}}
-            self._add_entry("extensionsUsed", _WEBP)
-            self._add_entry("extensionsRequired", _WEBP)
+        extension = _TEXTURE_EXTENSIONS.get(self.images[source][1])
+        if extension is not None:
+            texture = {"extensions": {extension: texture}}
+            self._add_entry("extensionsUsed", extension)
+            self._add_entry("extensionsRequired", extension)
         if sampler:
             texture["sampler"] = self._add_entry("samplers", sampler)
         return self._add_entry("textures", texture)
 
-    def _store_image(self, image: Image) -> int | None:
+    def _store_image(self, image: Image, kind: str) -> int | None:
+        if self._encode_image is not None:
+            image = self._encode_image(image, kind)
         data, mime = image.file_bytes, image.mime
-        if mime not in _SUPPORTED_MEDIA_TYPES:
+        if mime not in _CORE_MEDIA_TYPES and mime not in _TEXTURE_EXTENSIONS:
             try:
                 data, mime = encode_png(image.pixels), "image/png"
             except MeshError as error:
@@ -393,6 +425,14 @@ class MaterialWriter:
         if entry not in entries:
             entries.append(entry)
         return entries.index(entry)
+
+
+def _get_image_kind(key: str) -> str:
+    """Return the kind of pixels, one of IMAGE_KINDS, of a texture by its key in a material."""
+    if key.lower().endswith("normaltexture"):
+        return "normal"
+    is_color = key in _COLOR_TEXTURES or key.endswith(_COLOR_TEXTURE_SUFFIX)
+    return "color" if is_color else "data"
 
 
 def _make_sampler(wrap: tuple[str, str]) -> JsonObject:

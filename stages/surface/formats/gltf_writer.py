@@ -24,7 +24,12 @@ from scanloom.stages.surface.finite_check import FLOAT32_MAX
 from scanloom.stages.surface.formats.color_conversion import convert_srgb_to_linear
 from scanloom.stages.surface.formats.gltf_buffer import GltfBuffer
 from scanloom.stages.surface.formats.gltf_container import SCAN_FROM_WORLD, JsonObject
-from scanloom.stages.surface.formats.gltf_materials import MaterialWriter, has_images, multiplies_colors
+from scanloom.stages.surface.formats.gltf_materials import (
+    ImageEncoder,
+    MaterialWriter,
+    has_images,
+    multiplies_colors,
+)
 from scanloom.stages.surface.formats.gltf_packing import (
     INDEX_TARGET,
     MESH_QUANTIZATION,
@@ -63,6 +68,7 @@ def write_gltf(
     position_bits: int = 16,
     texel_steps: int = 0,
     values: NDArray[np.uint8] | None = None,
+    encode_image: ImageEncoder | None = None,
 ) -> None:
     """Write a mesh as .glb, or as .gltf with separate buffer and images.
 
@@ -90,6 +96,7 @@ def write_gltf(
         bits per image side, without that extension.
     values : (n, 4) additional 8-bit values per vertex, written as attribute `_VALUES`, which other programs
         ignore.
+    encode_image : encoder of all images that the file needs; None stores them unchanged.
 
     Raises
     ------
@@ -116,7 +123,9 @@ def write_gltf(
     if is_compressed:
         needed = [MESH_QUANTIZATION, MESHOPT_COMPRESSION] if buffer.uses_meshopt else [MESH_QUANTIZATION]
         tree |= {"extensionsUsed": [*needed], "extensionsRequired": [*needed]}
-    materials = MaterialWriter(tree, shading, bare_colors=shading == "bare" and not is_compressed)
+    materials = MaterialWriter(
+        tree, shading, bare_colors=shading == "bare" and not is_compressed, encode_image=encode_image
+    )
     _add_nodes(tree, buffer, materials, mesh, values)
     if path.suffix.lower() == ".gltf":
         _write_gltf_with_files(path, tree, buffer, materials)

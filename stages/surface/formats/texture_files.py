@@ -11,6 +11,7 @@ from scanloom.stages.diagnostics.collector import emit
 from scanloom.stages.files.atomic_files import write_file_atomically
 from scanloom.stages.files.image_headers import detect_image_type
 from scanloom.stages.files.input_files import read_input_bytes
+from scanloom.stages.files.ktx2 import KTX2_MIME
 from scanloom.stages.surface.codes import MESH_COMPANION_MISSING, MESH_TEXTURE_DAMAGED
 from scanloom.stages.surface.texture import Image
 
@@ -70,18 +71,22 @@ def write_images(path: Path, images: Iterable[Image]) -> dict[int, str]:
     """Write images next to the mesh file `path`; return file names by `id(image)`.
 
     Images keep their bytes, and their names if these are free. Otherwise the name gets the mesh's name as
-    prefix. Only files with such a prefixed name are overwritten with other content.
+    prefix. Only files with such a prefixed name are overwritten with other content. KTX2 images become PNG
+    next to other formats than glTF, whose programs do not read KTX2.
     """
     names: dict[int, str] = {}
     written: dict[str, bytes] = {}
     for number, image in enumerate(images):
+        key = id(image)
+        if image.mime == KTX2_MIME and path.suffix.lower() != ".gltf":
+            image = Image(f"{PurePosixPath(image.name).stem}.png" if image.name else "", given=image.pixels)
         data, extension = image.file_bytes, image.extension
         name = _sanitize_name(image.name, extension)
         if not name or written.get(name, data) != data or _has_other_content(path.with_name(name), data):
             name = _prefix_name(path.stem, name or f"{number}{extension}")
         if written.get(name, data) != data:
             name = _prefix_name(path.stem, f"{number}{extension}")
-        names[id(image)] = name
+        names[key] = name
         written[name] = data
         with write_file_atomically(path.with_name(name)) as part:
             part.write_bytes(data)
