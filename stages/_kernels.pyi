@@ -44,8 +44,7 @@ __all__ = [
     "compute_side_lengths",
     "compute_spatial_order",
     "compute_weighted_medians",
-    "count_consistent_views",
-    "count_unoccluded_views",
+    "count_supporting_views",
     "decode_indices",
     "decode_normal_mesh",
     "decode_rows",
@@ -68,6 +67,7 @@ __all__ = [
     "match_pair",
     "optimize_strip_order",
     "rasterize_texels",
+    "refine_inverse_depth",
     "release_free_memory",
     "remesh",
     "sample_points",
@@ -799,18 +799,42 @@ def sweep_planes(
     Plane index with a fraction, and margin to the second-best sum of costs.
     """
 
-def count_consistent_views(
+def refine_inverse_depth(
+    grey: NDArray[np.uint8],
+    partners: Sequence[tuple[NDArray[np.float64], NDArray[np.uint8]]],
+    inverse: NDArray[np.float32],
+    *,
+    step: float,
+    wanted_threads: int,
+) -> NDArray[np.float32]:
+    """Refine swept inverse depth to fractions of a plane.
+
+    Parameters
+    ----------
+    partners : matrices as in `count_supporting_views`, and grey images.
+    inverse : (h, w) 1/m.
+    step : distance between planes, 1/m.
+    """
+
+def count_supporting_views(
     depth: NDArray[np.float32],
     other_views: Sequence[tuple[NDArray[np.float64], NDArray[np.float32]]],
     *,
     tolerances: tuple[float, float],
+    min_depth_ratio: float,
     wanted_threads: int,
-) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
-    """Count the other views with a consistent depth, for each of two relative tolerances.
+) -> list[NDArray[np.uint8]]:
+    """Count the other views that support a depth.
 
     Parameters
     ----------
     other_views : (3, 4) projections from (u z, v z, z, 1) to (u' z', v' z', z'), and depth maps.
+    tolerances : maximum relative differences of a consistent and of a nearly consistent depth.
+    min_depth_ratio : a view is unoccluded if its depth is more than this ratio of the point's depth.
+
+    Returns
+    -------
+    Numbers of consistent, nearly consistent and unoccluded views, and of views with any depth.
     """
 
 def is_inside_all_masks(
@@ -821,20 +845,7 @@ def is_inside_all_masks(
 ) -> NDArray[np.bool_]:
     """Check whether points are inside the masks of all views that see them.
 
-    Matrices as in `count_consistent_views`.
-    """
-
-def count_unoccluded_views(
-    depth: NDArray[np.float32],
-    other_views: Sequence[tuple[NDArray[np.float64], NDArray[np.float32]]],
-    *,
-    min_depth_ratio: float,
-    wanted_threads: int,
-) -> NDArray[np.uint8]:
-    """Count the other views in which nothing occludes a point; matrices as in `count_consistent_views`.
-
-    A point counts as unoccluded if the depth of the view is more than `min_depth_ratio` times
-    the point's depth.
+    Matrices as in `count_supporting_views`.
     """
 
 def fuse_depth_maps(
@@ -850,7 +861,7 @@ def fuse_depth_maps(
     Parameters
     ----------
     depth : 0 where missing.
-    others : projections into the other view and back, as in `count_consistent_views`, depth, and confidence.
+    others : projections into the other view and back, as in `count_supporting_views`, depth, and confidence.
     tolerances : relative, for averaging and for agreement.
 
     Returns
@@ -872,7 +883,7 @@ def find_hull_entry(
 
     Parameters
     ----------
-    masks : matrices as in `count_consistent_views`, and silhouette masks.
+    masks : matrices as in `count_supporting_views`, and silhouette masks.
     min_views : minimum number of views that must see the point.
     depth_range : minimum and maximum depth, sampled in `steps` steps of inverse depth.
 

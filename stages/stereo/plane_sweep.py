@@ -126,7 +126,7 @@ def sweep_view(
         distinctness = (margin / (margin + np.float32(HALF_MARGIN))).astype(np.float32)
     found = np.zeros(full_shape, np.float32), np.zeros(full_shape, np.float32)
     inverse_depth = (1 / view.far + plane * step).astype(np.float32)
-    found[0][rows, columns] = 1 / refine_inverse_depth(main, partners, inverse_depth, step)
+    found[0][rows, columns] = 1 / refine_inverse_depth(main, partners, inverse_depth, step, threads)
     found[1][rows, columns] = distinctness
     return SweepResult(*found, planes)
 

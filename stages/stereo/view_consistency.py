@@ -89,14 +89,14 @@ def count_supporting_views(
     threads : thread count.
     """
     maps = [(view.compute_projection_to(other), measured) for other, measured in others]
-    consistent, nearly = _kernels.count_consistent_views(
-        depth, maps, tolerances=(tolerance, loose_tolerance), wanted_threads=threads
+    counts = _kernels.count_supporting_views(
+        depth,
+        maps,
+        tolerances=(tolerance, loose_tolerance),
+        min_depth_ratio=1 - _OCCLUSION_RATIO,
+        wanted_threads=threads,
     )
-    unoccluded, with_depth = (
-        _kernels.count_unoccluded_views(depth, maps, min_depth_ratio=share, wanted_threads=threads)
-        for share in (1 - _OCCLUSION_RATIO, 0.0)
-    )
-    return ViewSupport(consistent, nearly, unoccluded, with_depth)
+    return ViewSupport(*counts)
 
 
 def _is_within_tolerance(depths: DepthImage, reference: DepthImage, tolerance: float) -> NDArray[np.bool_]:

@@ -56,7 +56,7 @@ if TYPE_CHECKING:
 
     from scanloom.stages.params.keywords import DepthKeywords
 
-RESULT_VERSION = 8
+RESULT_VERSION = 9
 
 # Maximum difference of agreeing depth maps, in pixels of disparity.
 _TOLERANCE_PX = 1.0

@@ -147,13 +147,14 @@ def remove_contradicted_depth(
     depth : (h, w) float32 metres.
     min_view_count : minimum number of such views for removal.
     """
-    count = _kernels.count_unoccluded_views(
+    _, _, unoccluded, _ = _kernels.count_supporting_views(
         depth,
         [(view.compute_projection_to(other), measured) for other, measured in others],
+        tolerances=(0.0, 0.0),
         min_depth_ratio=1 - _OCCLUSION_RATIO,
         wanted_threads=1,
     )
-    return np.where(count < min_view_count, depth, np.float32(0))
+    return np.where(unoccluded < min_view_count, depth, np.float32(0))
 
 
 def interpolate_unknown(values: Map, known: Mask) -> Map:

@@ -266,24 +266,26 @@ def _make_calls(mesh: Mesh, side: int) -> dict[str, Call]:
             planes=64,
             wanted_threads=2,
         ),
-        "count_consistent_views": partial(
-            kernels.count_consistent_views,
+        "refine_inverse_depth": partial(
+            kernels.refine_inverse_depth,
+            image[..., 0],
+            [(np.eye(3, 4), image[..., 0])] * 4,
+            image[..., 0].astype(np.float32),
+            step=1.0,
+            wanted_threads=2,
+        ),
+        "count_supporting_views": partial(
+            kernels.count_supporting_views,
             image[..., 0].astype(np.float32),
             [(np.eye(3, 4), image[..., 0].astype(np.float32))] * 4,
             tolerances=(0.01, 0.02),
+            min_depth_ratio=0.9,
             wanted_threads=2,
         ),
         "is_inside_all_masks": partial(
             kernels.is_inside_all_masks,
             image[..., 0].astype(np.float32),
             [(np.eye(3, 4), image[..., 0] < 9)] * 4,
-            wanted_threads=2,
-        ),
-        "count_unoccluded_views": partial(
-            kernels.count_unoccluded_views,
-            image[..., 0].astype(np.float32),
-            [(np.eye(3, 4), image[..., 0].astype(np.float32))] * 4,
-            min_depth_ratio=0.9,
             wanted_threads=2,
         ),
         "fuse_depth_maps": partial(

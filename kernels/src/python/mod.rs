@@ -90,9 +90,9 @@ fn _kernels(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add_function(wrap_pyfunction!(recognition::match_descriptors, module)?)?;
     module.add_function(wrap_pyfunction!(stereo::match_pair, module)?)?;
     module.add_function(wrap_pyfunction!(stereo::sweep_planes, module)?)?;
-    module.add_function(wrap_pyfunction!(stereo::count_consistent_views, module)?)?;
+    module.add_function(wrap_pyfunction!(stereo::count_supporting_views, module)?)?;
     module.add_function(wrap_pyfunction!(stereo::is_inside_all_masks, module)?)?;
-    module.add_function(wrap_pyfunction!(stereo::count_unoccluded_views, module)?)?;
+    module.add_function(wrap_pyfunction!(stereo::refine_inverse_depth, module)?)?;
     module.add_function(wrap_pyfunction!(stereo::fuse_depth_maps, module)?)?;
     module.add_function(wrap_pyfunction!(stereo::find_hull_entry, module)?)?;
     module.add_function(wrap_pyfunction!(stereo::compute_weighted_medians, module)?)?;

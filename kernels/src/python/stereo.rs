@@ -1,5 +1,6 @@
-//! `scanloom.stages._kernels.match_pair`, `sweep_planes`, `count_consistent_views`, `is_inside_all_masks`,
-//! `count_unoccluded_views`, `find_hull_entry` and `compute_weighted_medians`.
+//! `scanloom.stages._kernels.match_pair`, `sweep_planes`, `refine_inverse_depth`, `count_supporting_views`,
+//! `is_inside_all_masks`, `fuse_depth_maps`, `find_hull_entry` and
+//! `compute_weighted_medians`.
 
 use numpy::ndarray::Array2;
 use numpy::{Element, IntoPyArray, PyArray2, PyReadonlyArray2, PyReadonlyArray3};
@@ -11,9 +12,12 @@ use super::background_work::run_detached;
 use super::memory_guard::with_memory_reserve;
 use crate::base::parallel::resolve_thread_count;
 use crate::stereo::cost_volume::{DisparityRange, ImageSize, LANES};
-use crate::stereo::cross_view_checks::{OtherView, PixelProjection};
+use crate::stereo::cross_view_checks::{
+    OtherView, PixelProjection, SupportLimits, count_supporting_views as count_support,
+};
 use crate::stereo::hypothesis_ranges::HypothesisRanges;
 use crate::stereo::plane_sweep::{HullBound, PartnerView, PixelContent, describe_pixels};
+use crate::stereo::subplane_refinement::{PartnerImage, refine_inverse_depth as refine_planes};
 use crate::stereo::visibility_fusion::{FusedPixel, Measurement, OtherDepthMap, Tolerances};
 use crate::stereo::weighted_median::compute_weighted_medians as medians_of;
 
@@ -87,6 +91,12 @@ pub fn match_pair(
     })
 }
 
+/// Copy the values of an array, row by row.
+fn copy_values<T: Element + Copy>(given: &PyReadonlyArray2<'_, T>) -> Vec<T> {
+    // An iterator over an array is slower than a copy of its memory.
+    given.as_slice().map_or_else(|_| given.as_array().iter().copied().collect(), <[T]>::to_vec)
+}
+
 type Grey<'py> = PyReadonlyArray2<'py, u8>;
 /// Warped image of a partner, its mask ([`PixelContent`]), and the map of each plane.
 type WarpedPartner<'py> = (Grey<'py>, Grey<'py>, PyReadonlyArray2<'py, f32>);
@@ -108,8 +118,8 @@ fn copy_partner(given: &WarpedPartner<'_>, planes: usize, threads: usize) -> PyR
     if shown.as_array().shape() != grey.as_array().shape() || *maps.as_array().shape() != [planes, 3] {
         return Err(PyValueError::new_err("the mask or the maps of a partner do not match its image"));
     }
-    let grey: Vec<u8> = grey.as_array().iter().copied().collect();
-    let shown: Vec<u8> = shown.as_array().iter().copied().collect();
+    let grey = copy_values(&grey);
+    let shown = copy_values(&shown);
     let said = |i: usize| match shown[i] {
         0 => PixelContent::Outside,
         1 => PixelContent::Scene,
@@ -144,8 +154,7 @@ pub fn sweep_planes(
     {
         return Err(PyValueError::new_err("the size of first, count or bound differs from the view"));
     }
-    let (first, count) = (first.as_array(), count.as_array());
-    for (&first, &count) in first.iter().zip(count) {
+    for (&first, &count) in first.as_array().iter().zip(count.as_array()) {
         let end = i64::from(first) + i64::from(count);
         if first < 0 || count == 0 || usize::from(count) % LANES != 0 || end > planes as i64 {
             return Err(PyValueError::new_err(format!(
@@ -153,23 +162,57 @@ pub fn sweep_planes(
             )));
         }
     }
-    let numbers: usize = count.iter().map(|&n| usize::from(n)).sum();
+    let numbers: usize = count.as_array().iter().map(|&n| usize::from(n)).sum();
     let images: usize = partners.iter().map(|one| one.0.as_array().len()).sum();
     // Three volumes of two bytes per value, and the image descriptors, in rows of 192 bytes.
     with_memory_reserve(numbers / 32 + (images + size.pixel_count()) / 8, || {
         let threads = resolve_thread_count(wanted_threads);
         let partners =
             partners.iter().map(|one| copy_partner(one, planes, threads)).collect::<PyResult<Vec<_>>>()?;
-        let ranges = HypothesisRanges::new(first.iter().copied().collect(), count.iter().copied().collect());
-        let grey: Vec<u8> = grey.as_array().iter().copied().collect();
-        let bound = bound.as_ref().map(|(nearest, lean)| HullBound {
-            nearest: nearest.as_array().iter().copied().collect(),
-            cost_per_plane: *lean,
-        });
+        let ranges = HypothesisRanges::new(copy_values(&first), copy_values(&count));
+        let grey = copy_values(&grey);
+        let bound = bound
+            .as_ref()
+            .map(|(nearest, lean)| HullBound { nearest: copy_values(nearest), cost_per_plane: *lean });
         let found = run_detached(py, None, false, |progress| {
             crate::stereo::sweep_planes(&grey, &partners, size, &ranges, bound.as_ref(), threads, progress)
         })?;
         Ok((image_array(py, size, found.plane)?, image_array(py, size, found.margin)?))
+    })
+}
+
+/// Refine swept inverse depth to fractions of a plane.
+#[pyfunction]
+#[pyo3(signature = (grey, partners, inverse, *, step, wanted_threads))]
+pub fn refine_inverse_depth(
+    py: Python<'_>,
+    grey: Grey<'_>,
+    partners: Vec<OtherViewArrays<'_, u8>>,
+    inverse: PyReadonlyArray2<'_, f32>,
+    step: f32,
+    wanted_threads: usize,
+) -> PyResult<ImageArray<f32>> {
+    let size = image_size(grey.as_array().shape())?;
+    if inverse.as_array().shape() != grey.as_array().shape() {
+        return Err(PyValueError::new_err("the inverse depth and the image have different sizes"));
+    }
+    let images: usize = partners.iter().map(|one| one.1.as_array().len()).sum();
+    // Five bytes per pixel of a partner and nine of the view, and the bands of each thread, in rows of 192 bytes.
+    let threads = resolve_thread_count(wanted_threads);
+    let bands = size.width.saturating_mul(72 * 4 * 11).saturating_mul(threads) / 192;
+    with_memory_reserve((images + 2 * size.pixel_count()) / 32 + bands, || {
+        let partners = partners
+            .iter()
+            .map(|(matrix, image)| {
+                let levels = copy_values(image);
+                let matrix = copy_projection(matrix)?.map(|row| row.map(|value| value as f32));
+                Ok(PartnerImage::new(&levels, image_size(image.as_array().shape())?, matrix))
+            })
+            .collect::<PyResult<Vec<_>>>()?;
+        let grey = copy_values(&grey);
+        let inverse = copy_values(&inverse);
+        let refined = py.detach(|| refine_planes(&grey, size, &partners, &inverse, step, threads));
+        image_array(py, size, refined)
     })
 }
 
@@ -188,38 +231,32 @@ fn copy_projection(given: &PyReadonlyArray2<'_, f64>) -> PyResult<PixelProjectio
 }
 
 fn copy_other_view<T: Element + Copy>((matrix, map): &OtherViewArrays<'_, T>) -> PyResult<OtherView<T>> {
-    let map = map.as_array();
-    let size = image_size(map.shape())?;
-    Ok(OtherView { from_pixels: copy_projection(matrix)?, size, map: map.iter().copied().collect() })
+    let size = image_size(map.as_array().shape())?;
+    Ok(OtherView { from_pixels: copy_projection(matrix)?, size, map: copy_values(map) })
 }
 
-/// Count the other views with a consistent depth, within the first and within the second tolerance.
+/// Count the other views with a consistent depth, with a nearly consistent depth, without occlusion, and with
+/// any depth.
 #[pyfunction]
-#[pyo3(signature = (depth, other_views, *, tolerances, wanted_threads))]
-pub fn count_consistent_views(
+#[pyo3(signature = (depth, other_views, *, tolerances, min_depth_ratio, wanted_threads))]
+pub fn count_supporting_views(
     py: Python<'_>,
     depth: PyReadonlyArray2<'_, f32>,
     other_views: Vec<OtherViewArrays<'_, f32>>,
     tolerances: [f64; 2],
+    min_depth_ratio: f64,
     wanted_threads: usize,
-) -> PyResult<(ImageArray<u8>, ImageArray<u8>)> {
+) -> PyResult<[ImageArray<u8>; 4]> {
     let size = image_size(depth.as_array().shape())?;
     let images: usize = other_views.iter().map(|one| one.1.as_array().len()).sum();
-    with_memory_reserve((images + size.pixel_count()) / 24, || {
+    with_memory_reserve((images + 2 * size.pixel_count()) / 24, || {
         let other_views = other_views.iter().map(copy_other_view).collect::<PyResult<Vec<_>>>()?;
-        let depth: Vec<f32> = depth.as_array().iter().copied().collect();
+        let depth = copy_values(&depth);
+        let limits = SupportLimits { tolerances, min_depth_ratio };
         let threads = resolve_thread_count(wanted_threads);
-        let counts = py.detach(|| {
-            crate::stereo::cross_view_checks::count_consistent_views(
-                &depth,
-                size,
-                &other_views,
-                tolerances,
-                threads,
-            )
-        });
-        let of = |which: usize| counts.iter().map(|count| count[which]).collect();
-        Ok((image_array(py, size, of(0))?, image_array(py, size, of(1))?))
+        let counts = py.detach(|| count_support(&depth, size, &other_views, limits, threads));
+        let of = |which: usize| image_array(py, size, counts.iter().map(|count| count[which]).collect());
+        Ok([of(0)?, of(1)?, of(2)?, of(3)?])
     })
 }
 
@@ -236,41 +273,11 @@ pub fn is_inside_all_masks(
     let images: usize = masks.iter().map(|one| one.1.as_array().len()).sum();
     with_memory_reserve((images + 4 * size.pixel_count()) / 96, || {
         let masks = masks.iter().map(copy_other_view).collect::<PyResult<Vec<_>>>()?;
-        let depth: Vec<f32> = depth.as_array().iter().copied().collect();
+        let depth = copy_values(&depth);
         let threads = resolve_thread_count(wanted_threads);
         let inside = py
             .detach(|| crate::stereo::cross_view_checks::is_inside_all_masks(&depth, size, &masks, threads));
         image_array(py, size, inside)
-    })
-}
-
-/// Count the other views in which nothing occludes a point: their depth is more than `min_depth_ratio`
-/// times the point's depth.
-#[pyfunction]
-#[pyo3(signature = (depth, other_views, *, min_depth_ratio, wanted_threads))]
-pub fn count_unoccluded_views(
-    py: Python<'_>,
-    depth: PyReadonlyArray2<'_, f32>,
-    other_views: Vec<OtherViewArrays<'_, f32>>,
-    min_depth_ratio: f64,
-    wanted_threads: usize,
-) -> PyResult<ImageArray<u8>> {
-    let size = image_size(depth.as_array().shape())?;
-    let images: usize = other_views.iter().map(|one| one.1.as_array().len()).sum();
-    with_memory_reserve((images + size.pixel_count()) / 24, || {
-        let other_views = other_views.iter().map(copy_other_view).collect::<PyResult<Vec<_>>>()?;
-        let depth: Vec<f32> = depth.as_array().iter().copied().collect();
-        let threads = resolve_thread_count(wanted_threads);
-        let counts = py.detach(|| {
-            crate::stereo::cross_view_checks::count_unoccluded_views(
-                &depth,
-                size,
-                &other_views,
-                min_depth_ratio,
-                threads,
-            )
-        });
-        image_array(py, size, counts)
     })
 }
 
@@ -285,7 +292,7 @@ fn copy_measurements(depth: &PyReadonlyArray2<'_, f32>, confidence: &Grey<'_>) -
     if depth.as_array().shape() != confidence.as_array().shape() {
         return Err(PyValueError::new_err("depth and confidence have different sizes"));
     }
-    Ok(depth.as_array().iter().copied().zip(confidence.as_array().iter().copied()).collect())
+    Ok(copy_values(depth).into_iter().zip(copy_values(confidence)).collect())
 }
 
 /// Fuse a depth map with the maps of other views, by the confidence that agrees with each depth.
@@ -356,7 +363,7 @@ pub fn find_hull_entry(
     let images: usize = masks.iter().map(|one| one.1.as_array().len()).sum();
     with_memory_reserve((images + 4 * size.pixel_count()) / 96, || {
         let masks = masks.iter().map(copy_other_view).collect::<PyResult<Vec<_>>>()?;
-        let wanted: Vec<bool> = wanted.as_array().iter().copied().collect();
+        let wanted = copy_values(&wanted);
         let threads = resolve_thread_count(wanted_threads);
         let found = py.detach(|| {
             crate::stereo::cross_view_checks::find_hull_entry(
@@ -400,8 +407,8 @@ pub fn compute_weighted_medians(
     }
     with_memory_reserve(width * height, || {
         let (image, size) = copy_image(&image)?;
-        let disparity: Vec<f32> = disparity.as_array().iter().copied().collect();
-        let wanted: Vec<bool> = wanted.as_array().iter().copied().collect();
+        let disparity = copy_values(&disparity);
+        let wanted = copy_values(&wanted);
         let threads = resolve_thread_count(wanted_threads);
         let medians = py.detach(|| {
             medians_of(&image, &disparity, &wanted, size, lowest, count, radius, falloff, threads)

@@ -9,6 +9,7 @@
 //! | [`path_aggregation`] | path costs along eight directions |
 //! | [`winner_take_all`] | winner-take-all disparity and confidence measures |
 //! | [`hypothesis_ranges`], [`plane_sweep`] | plane sweep over partner views, with a depth range per pixel |
+//! | [`subplane_refinement`] | refinement of swept depth to fractions of a plane |
 //! | [`cross_view_checks`] | consistency checks of a depth map with other views |
 //! | [`visibility_fusion`] | fusion of the depth maps of several views |
 //! | [`weighted_median`] | edge-preserving weighted median of disparities |
@@ -22,6 +23,7 @@ pub mod hypothesis_ranges;
 pub mod matching_cost;
 pub mod path_aggregation;
 pub mod plane_sweep;
+pub mod subplane_refinement;
 pub mod visibility_fusion;
 pub mod weighted_median;
 pub mod winner_take_all;

@@ -6,7 +6,7 @@
 //! front of it.
 
 use super::cost_volume::ImageSize;
-use super::cross_view_checks::{OtherView, PixelProjection};
+use super::cross_view_checks::{OtherView, PixelProjection, ProjectedRow};
 use crate::base::by_processor::by_processor;
 use crate::base::parallel::{for_each_part, map};
 
@@ -57,39 +57,32 @@ pub fn fuse_depth_maps(
     let mut fused = vec![FusedPixel::default(); size.pixel_count()];
     for_each_part(fused.chunks_mut(size.width).enumerate().collect(), threads, |(y, row)| {
         select_row(own, &rendered, y, tolerances, row);
-        for (x, pixel) in row.iter_mut().enumerate() {
-            check_in_others(others, x, y, tolerances, pixel);
-        }
+        check_row(others, y, tolerances, row);
     });
     fused
 }
 
+by_processor! {
+    fn render(other: &OtherDepthMap, size: ImageSize) -> Vec<Measurement> = render_scalar
+}
+
 /// Render a depth map into the view; the nearest depth of each pixel remains.
-fn render(other: &OtherDepthMap, size: ImageSize) -> Vec<Measurement> {
+#[inline(always)]
+fn render_scalar(other: &OtherDepthMap, size: ImageSize) -> Vec<Measurement> {
     let mut rendered = vec![(0.0, 0); size.pixel_count()];
-    let (width, height) = (size.width as f64, size.height as f64);
-    for (v, row) in other.view.map.chunks(other.view.size.width).enumerate() {
-        for (u, &(z, confidence)) in row.iter().enumerate() {
-            if z > 0.0 {
-                let [x, y, depth] = project(&other.back, u, v, z.into());
-                let scale = 1.0 / depth;
-                let (x, y) = (x * scale + 0.5, y * scale + 0.5);
-                if depth > 0.0 && x >= 0.0 && y >= 0.0 && x < width && y < height {
-                    let pixel: &mut Measurement = &mut rendered[y as usize * size.width + x as usize];
-                    if pixel.0 == 0.0 || (depth as f32) < pixel.0 {
-                        *pixel = (depth as f32, confidence);
-                    }
+    let mut projected = ProjectedRow::new(other.view.size.width);
+    for (y, row) in other.view.map.chunks(other.view.size.width).enumerate() {
+        projected.project(&other.back, size, 0.5, y, row.iter().map(|one| one.0));
+        for ((&place, &depth), one) in projected.places.iter().zip(&projected.depths).zip(row) {
+            if place >= 0 {
+                let pixel: &mut Measurement = &mut rendered[place as usize];
+                if pixel.0 == 0.0 || (depth as f32) < pixel.0 {
+                    *pixel = (depth as f32, one.1);
                 }
             }
         }
     }
     rendered
-}
-
-#[inline(always)]
-fn project(matrix: &PixelProjection, u: usize, v: usize, z: f64) -> [f64; 3] {
-    let (x, y) = (u as f64, v as f64);
-    matrix.map(|row| (row[0] * x + row[1] * y + row[2]) * z + row[3])
 }
 
 by_processor! {
@@ -151,27 +144,26 @@ fn select_depths(
     }
 }
 
-/// Compare the depth of a pixel with the maps of the other views.
-fn check_in_others(
-    others: &[OtherDepthMap],
-    x: usize,
-    y: usize,
-    tolerances: Tolerances,
-    pixel: &mut FusedPixel,
-) {
-    if pixel.depth == 0.0 {
-        return;
-    }
-    for other in others {
-        if let Some(((there, confidence), ahead)) = other.view.look_up(x, y, pixel.depth.into()) {
-            let behind = f64::from(there) / ahead - 1.0;
-            if there > 0.0 && behind.abs() <= tolerances.wide.into() {
-                pixel.confirming += u16::from(confidence);
-                pixel.counts[0] += 1;
-                pixel.counts[1] += u8::from(behind.abs() <= tolerances.narrow.into());
-            } else if behind > 0.0 {
-                pixel.contradicting += u16::from(confidence);
-            }
+by_processor! {
+    fn check_row(others: &[OtherDepthMap], y: usize, tolerances: Tolerances, row: &mut [FusedPixel]) = check_in_others
+}
+
+/// Compare the depths of a row with the maps of the other views.
+#[inline(always)]
+fn check_in_others(others: &[OtherDepthMap], y: usize, tolerances: Tolerances, row: &mut [FusedPixel]) {
+    let (mut projected, mut there) = (ProjectedRow::new(row.len()), vec![(0.0, 0); row.len()]);
+    for OtherDepthMap { view, .. } in others {
+        projected.project(&view.from_pixels, view.size, 0.0, y, row.iter().map(|pixel| pixel.depth));
+        projected.look_up(&view.map, &mut there);
+        for ((pixel, &(there, confidence)), &ahead) in row.iter_mut().zip(&there).zip(&projected.depths) {
+            let there = f64::from(there);
+            let behind = there / ahead - 1.0;
+            // Missing depth, 0, is not behind.
+            let agrees = there > 0.0 && behind.abs() <= tolerances.wide.into();
+            pixel.confirming += if agrees { confidence.into() } else { 0 };
+            pixel.counts[0] += u8::from(agrees);
+            pixel.counts[1] += u8::from(agrees && behind.abs() <= tolerances.narrow.into());
+            pixel.contradicting += if !agrees && there > ahead { confidence.into() } else { 0 };
         }
     }
 }

@@ -216,20 +216,21 @@ def test_support_of_other_views_agrees_with_the_reference(seed: int) -> None:
     masks = [rng.random((9, 12)) < 0.7 for _ in views]
     matrices = [views[0].compute_projection_to(other) for other in views[1:]]
 
-    near, wide = _kernels.count_consistent_views(
-        maps[0], list(zip(matrices, maps[1:], strict=True)), tolerances=(0.05, 0.2), wanted_threads=1
+    near, wide, open_, looking = _kernels.count_supporting_views(
+        maps[0],
+        list(zip(matrices, maps[1:], strict=True)),
+        tolerances=(0.05, 0.2),
+        min_depth_ratio=0.9,
+        wanted_threads=2,
     )
     inside = _kernels.is_inside_all_masks(
         maps[0], list(zip(matrices, masks[1:], strict=True)), wanted_threads=2
-    )
-    open_ = _kernels.count_unoccluded_views(
-        maps[0], list(zip(matrices, maps[1:], strict=True)), min_depth_ratio=0.9, wanted_threads=2
     )
 
     for v, u in np.ndindex(maps[0].shape):
         z = float(maps[0][v, u])
         point = views[0].to_world(views[0].compute_rays(np.array(float(u)), np.array(float(v))) * z)
-        counts, is_inside, behind = [0, 0], True, 0
+        counts, is_inside, behind, seen = [0, 0], True, 0, 0
         for other, depth, mask in zip(views[1:], maps[1:], masks[1:], strict=True):
             x, y, ahead = (float(n) for n in other.project(point))
             if not other.contains(np.array(x), np.array(y)):
@@ -237,11 +238,12 @@ def test_support_of_other_views_agrees_with_the_reference(seed: int) -> None:
             column, row = int(np.floor(x + 0.5)), int(np.floor(y + 0.5))
             is_inside &= bool(mask[row, column])
             behind += int(depth[row, column] > 0.9 * ahead)
+            seen += int(depth[row, column] > 0)
             for k, tolerance in enumerate((0.05, 0.2)):
                 counts[k] += depth[row, column] > 0 and abs(depth[row, column] - ahead) <= tolerance * ahead
         if z > 0:
             assert (near[v, u], wide[v, u]) == tuple(counts)
             assert inside[v, u] == is_inside
-            assert open_[v, u] == behind
+            assert (open_[v, u], looking[v, u]) == (behind, seen)
         else:
-            assert near[v, u] == wide[v, u] == open_[v, u] == 0
+            assert near[v, u] == wide[v, u] == open_[v, u] == looking[v, u] == 0
