@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scanloom.stages.cleaning.codes import CLEAN_CHECK_FAILED
 from scanloom.stages.cleaning.regularity import AngleLimits, find_irregular
 from scanloom.stages.cleaning.solids.orientation import find_inside_out
+from scanloom.stages.cleaning.thickness import measure_thickness
 from scanloom.stages.diagnostics.codes import USAGE_OPTIONS_CONFLICT, USAGE_VALUE_INVALID
 from scanloom.stages.diagnostics.diagnostic import Diagnostic
 from scanloom.stages.diagnostics.errors import UsageError
@@ -22,7 +23,7 @@ from scanloom.stages.progress import Progress, ignore_progress
 from scanloom.stages.surface.edges import Ids, label_components
 from scanloom.stages.surface.mesh import Mesh, Triangles, Vertices
 from scanloom.stages.surface.mesh_conversion import MeshLike, as_mesh
-from scanloom.stages.surface.raycasting import RaycastingSurface, compute_bounding_box, iterate_chunks
+from scanloom.stages.surface.raycasting import compute_bounding_box
 from scanloom.stages.surface.topology import (
     Topology,
     has_repeated_vertex,
@@ -41,10 +42,6 @@ PAPER_CORNER_ANGLE = float(np.degrees(np.arcsin(1e-5)))
 
 # Elements listed per defect class in the statistics.
 _LISTED_DEFECTS = 10
-
-# Offset of thickness rays from the surface, as a ratio of the bounding box's diagonal. The ray caster cannot
-# resolve shorter lengths.
-_RAY_OFFSET_RATIO = 1e-6
 
 ElementKind = Literal["vertex", "edge", "triangle"]
 # Table 1 of the paper: a defect class is only reported ("warning"), or `repair` can treat it ("marking").
@@ -354,7 +351,7 @@ def check(
         corner_deg=params.corner_angle, fold_deg=params.fold_angle, spike_deg=params.spike_angle
     )
     places, counts = find_irregular(welded.vertices, welded.triangles, limits, params.threads or 0, progress)
-    thickness = _measure_thickness(welded, places["degenerate_triangles"])
+    thickness = measure_thickness(welded, places["degenerate_triangles"])
     # Duplicate vertices must not count as unused vertices.
     vertices = int(np.count_nonzero(first == np.arange(len(first))))
     counted = make_topology(vertices, len(welded.triangles), places, counts)
@@ -399,28 +396,3 @@ def _count_inside_out(mesh: Mesh, places: Mapping[str, Ids]) -> int:
     volumes = np.bincount(component, np.einsum("ij,ij->i", a, np.cross(b, c)), count)
     signed = np.where(is_open, 0.0, volumes.astype(np.float64))
     return int(np.count_nonzero(find_inside_out(Mesh(mesh.vertices, triangles), component, signed)))
-
-
-def _measure_thickness(mesh: Mesh, degenerate: Ids) -> NDArray[np.float64]:
-    """Measure the thickness (m,) of the solid behind each triangle, in metres.
-
-    A ray is cast from each triangle's centre along the inward normal. The result is NaN if the ray misses the
-    surface or hits a front face first, and for degenerate triangles. The error is about 1e-6 of the bounding
-    box's diagonal.
-    """
-    thickness = np.full(len(mesh.triangles), np.nan)
-    proper = np.delete(np.arange(len(mesh.triangles)), degenerate)
-    if len(proper) == 0:
-        return thickness
-    box = compute_bounding_box(mesh)
-    surface = RaycastingSurface(mesh, box)
-    start = _RAY_OFFSET_RATIO * float(np.linalg.norm(box[1] - box[0]))
-    for rows in iterate_chunks(len(proper)):
-        triangles = proper[rows]
-        corners = mesh.vertices[mesh.triangles[triangles]]
-        inwards = np.cross(corners[:, 2] - corners[:, 0], corners[:, 1] - corners[:, 0])
-        inwards /= np.linalg.norm(inwards, axis=1, keepdims=True)
-        hits = surface.cast_rays(corners.mean(axis=1) + start * inwards, inwards)
-        leaves = np.einsum("ij,ij->i", hits.normals, inwards[hits.rays]) > 0
-        thickness[triangles[hits.rays[leaves]]] = hits.distances[leaves] + start
-    return thickness

@@ -90,6 +90,12 @@ class CleanParams:
         unit="m",
         low=0,
     )
+    min_thickness: float = param(
+        0.0,
+        "With solid: thicken thinner walls to at least this thickness. 0: leave them.",
+        unit="m",
+        low=0,
+    )
     stitch: bool = param(True, "Join borders at exactly equal positions, such as seams of textured files.")
     weld_distance: float = param(
         0.0,
@@ -128,13 +134,14 @@ class CleanParams:
                 DiagnosticLocation(parameter="max_shape"),
                 remedy="give repair or solid, too.",
             )
-        if self.wall > 0 and not self.solid:
-            raise UsageError(
-                USAGE_OPTIONS_CONFLICT,
-                "applies only to solids",
-                DiagnosticLocation(parameter="wall"),
-                remedy="give solid, too.",
-            )
+        for name in ("wall", "min_thickness"):
+            if getattr(self, name) > 0 and not self.solid:
+                raise UsageError(
+                    USAGE_OPTIONS_CONFLICT,
+                    "applies only to solids",
+                    DiagnosticLocation(parameter=name),
+                    remedy="give solid, too.",
+                )
 
 
 @dataclass(frozen=True)
@@ -292,7 +299,7 @@ def _clean(mesh: Mesh, params: CleanParams, progress: Progress) -> CleaningResul
 
 def _make_solid(cleaned: CleaningResult, params: CleanParams) -> CleaningResult:
     """Make the cleaned mesh solid."""
-    solid = make_solid(cleaned.mesh, params.wall, params.max_shape)
+    solid = make_solid(cleaned.mesh, params.wall, params.max_shape, min_thickness=params.min_thickness)
     return replace(
         cleaned,
         mesh=solid.mesh,

@@ -60,3 +60,17 @@ triangle that still intersects or touches others after that, or the part of the 
         "clean.max_shape to another distance."
     ),
 )
+CLEAN_SOLID_THIN = Code(
+    "clean.solid-thin",
+    "Solids with walls that stay thin",
+    """
+`clean.min_thickness` adds material around thin walls in rounds. The message states how many triangles still
+have less of the solid behind them: single triangles after the last round, or all thin walls if they are too
+large to be thickened at this scale (more than about 25,000 times the squared thickness). For a sheet, such
+as a room, `clean.wall` sets the thickness directly; make it a tenth larger than `clean.min_thickness`.
+""",
+    (
+        "the solid is thinner than 0.0004 m behind 12,406 triangles; the minimum is 0.00012 m; set "
+        "clean.wall to a larger thickness if the object is a sheet, or clean.min_thickness to another one."
+    ),
+)

@@ -1,19 +1,19 @@
 """Making a surface solid: closed, manifold, oriented outwards and free of self-intersections.
 
 1. Close all borders; open sheets become walls, on request. 2. Turn components outwards. 3. Remove
-self-intersections. 4. Transfer colours and texture. 5. Prove how far the existing surface is from the result.
+self-intersections. 4. Thicken thin walls, on request. 5. Transfer colours and texture. 6. Prove how far the
+existing surface is from the result.
 """
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from scanloom.stages.cleaning.check import check
-from scanloom.stages.cleaning.codes import CLEAN_NOT_SOLID, CLEAN_SOLID_INCOMPLETE
+from scanloom.stages.cleaning.codes import CLEAN_NOT_SOLID, CLEAN_SOLID_INCOMPLETE, CLEAN_SOLID_THIN
 from scanloom.stages.cleaning.solids.attributes import transfer_attributes
 from scanloom.stages.cleaning.solids.booleans import require_manifold3d, trim_by_plane
 from scanloom.stages.cleaning.solids.border_closing import BasePlane, ClosingCounts, close_borders
@@ -25,6 +25,8 @@ from scanloom.stages.cleaning.solids.self_intersections import (
     resolve_intersections,
 )
 from scanloom.stages.cleaning.solids.shell import Shell, compute_volumes
+from scanloom.stages.cleaning.solids.thickening import thicken
+from scanloom.stages.cleaning.thickness import measure_thickness
 from scanloom.stages.comparing.certify import certify
 from scanloom.stages.diagnostics.collector import emit
 from scanloom.stages.diagnostics.errors import MeshError
@@ -33,6 +35,7 @@ from scanloom.stages.surface.cross_products import compute_area_vectors
 from scanloom.stages.surface.edges import Ids, build_edges
 from scanloom.stages.surface.mesh import Mesh
 from scanloom.stages.surface.raycasting import RaycastingSurface
+from scanloom.stages.surface.texture import select_rows
 from scanloom.stages.surface.topology import compute_areas
 
 # Default limit of the distance by which self-intersecting surface may move, as a ratio of the median edge
@@ -62,6 +65,8 @@ class SolidResult:
     max_shape_m : applied distance limit, metres.
     volume_m3 : enclosed volume.
     thickness_min_m : minimum wall thickness behind a triangle, metres; None if no triangle has one.
+    thickened_area_m2 : part of the added surface that makes walls thicker.
+    thickened_max_m : maximum distance of its vertices from the surface without it.
     """
 
     closing: ClosingCounts
@@ -73,6 +78,8 @@ class SolidResult:
     max_shape_m: float
     volume_m3: float
     thickness_min_m: float | None
+    thickened_area_m2: float
+    thickened_max_m: float
 
     __repr__ = format_by_metrics
     _repr_html_ = render_table
@@ -94,7 +101,11 @@ class SolidMesh:
 
 
 def make_solid(
-    given: Mesh, wall: float, max_shape: float | None, base_plane: BasePlane | None = None
+    given: Mesh,
+    wall: float,
+    max_shape: float | None,
+    base_plane: BasePlane | None = None,
+    min_thickness: float = 0.0,
 ) -> SolidMesh:
     """Make an oriented manifold solid.
 
@@ -105,6 +116,7 @@ def make_solid(
     max_shape : maximum distance by which self-intersecting surface may move, metres; None for half the median
         edge length.
     base_plane : plane on which the object stood; None to fit a plane to the borders.
+    min_thickness : thickness to which thinner walls are thickened, metres; 0 to leave them.
 
     Raises
     ------
@@ -132,7 +144,6 @@ def make_solid(
             "mesh",
             remedy="check the orientation of the triangles, or set clean.max_shape to a smaller distance.",
         )
-    _report_unsound(shell)
     lost = measure_lost_ratio(given, shell, edge_length)
     if lost > MAX_LOST_RATIO:
         emit(
@@ -146,11 +157,20 @@ def make_solid(
     restored_bound = 0.0
     if method in ("refilled", "rebuilt"):
         shell, restored_bound = _find_restored(shell, given, limit)
+    is_thickened, thickened_max, nearest = np.zeros(len(shell.triangles), bool), 0.0, None
+    if min_thickness > 0 and (thickened := thicken(shell, min_thickness, edge_length)) is not None:
+        origin, thickened_max = thickened.shell.source, thickened.max_distance_m
+        is_thickened = origin < 0
+        is_exact = select_rows(is_exact, origin, False)
+        nearest = select_rows(shell.source, thickened.nearest_triangle, -1)
+        shell = replace(thickened.shell, source=select_rows(shell.source, origin, -1))
+    _report_unsound(shell)
     bound, removed = _bound_distances(shell, is_exact, given, limit)
-    transferred = transfer_attributes(shell, given)
+    transferred = transfer_attributes(shell, given, nearest)
     added = shell.source < 0
     areas = compute_areas(shell.vertices, shell.triangles)
-    thickness = check(shell.mesh).thickness
+    thickness = measure_thickness(shell.mesh)
+    _report_thin(thickness, min_thickness)
     result = SolidResult(
         closing=closing,
         intersections=method,
@@ -161,8 +181,26 @@ def make_solid(
         max_shape_m=limit,
         volume_m3=float(compute_volumes(shell.vertices - shell.vertices.mean(axis=0), shell.triangles).sum()),
         thickness_min_m=float(np.nanmin(thickness)) if np.isfinite(thickness).any() else None,
+        thickened_area_m2=float(areas[is_thickened].sum()),
+        thickened_max_m=thickened_max,
     )
     return SolidMesh(transferred.mesh, transferred.vertex_source, shell.source, result)
+
+
+def _report_thin(thickness: NDArray[np.float64], limit: float) -> None:
+    count = int(np.count_nonzero(thickness < limit))
+    if count:
+        emit(
+            CLEAN_SOLID_THIN.unmet(
+                "the solid is thinner than {limit:.3g} m behind {count:,} triangles; the minimum is "
+                "{minimum:.3g} m",
+                remedy="set clean.wall to a larger thickness if the object is a sheet, or "
+                "clean.min_thickness to another one.",
+                count=count,
+                limit=limit,
+                minimum=float(np.nanmin(thickness)),
+            )
+        )
 
 
 def _report_unsound(shell: Shell) -> None:

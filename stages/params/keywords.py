@@ -90,6 +90,7 @@ class CleanKeywords(TypedDict, total=False):
     fill_holes: float
     solid: bool
     wall: float
+    min_thickness: float
     stitch: bool
     weld_distance: float
     repair: bool

@@ -39,10 +39,14 @@ class TransferredMesh:
     vertex_source: Ids
 
 
-def transfer_attributes(shell: Shell, given: Mesh) -> TransferredMesh:
+def transfer_attributes(shell: Shell, given: Mesh, nearest: Ids | None = None) -> TransferredMesh:
     """Give a solid the colours, texture, normals and parts of the mesh it was made of.
 
     Added surface continues the colours at its border smoothly.
+
+    Parameters
+    ----------
+    nearest : (n,) given triangle whose colour a vertex of added surface takes instead; -1 for none.
     """
     is_kept = shell.source >= 0
     weights = np.zeros((len(shell.triangles), 3, 3))
@@ -55,7 +59,7 @@ def transfer_attributes(shell: Shell, given: Mesh) -> TransferredMesh:
     if given.part_ids is not None:
         mesh = mesh.with_(part_ids=select_rows(given.part_ids, shell.source, -1).astype(np.int32))
     if has_color(given):
-        colors = _compute_colors(shell, given, weights, is_kept)
+        colors = _compute_colors(shell, given, weights, is_kept, nearest)
         mesh = (
             mesh.with_(colors=_keep_colors(colors, given, vertex_source))
             if given.texture is None
@@ -84,13 +88,19 @@ def _find_vertex_sources(shell: Shell, given: Mesh, is_kept: NDArray[np.bool_]) 
 
 
 def _compute_colors(
-    shell: Shell, given: Mesh, weights: NDArray[np.float64], is_kept: NDArray[np.bool_]
+    shell: Shell, given: Mesh, weights: NDArray[np.float64], is_kept: NDArray[np.bool_], nearest: Ids | None
 ) -> NDArray[np.float64]:
     """Compute the colour (n, 3) of each vertex, from 0 to 255."""
     values, known = np.zeros((len(shell.vertices), 3)), np.zeros(len(shell.vertices), bool)
     for corner in range(3):
         rows = shell.triangles[is_kept, corner]
         values[rows] = compute_surface_colors(given, shell.source[is_kept], weights[is_kept, corner])
+        known[rows] = True
+    if nearest is not None:
+        (rows,) = np.nonzero((nearest >= 0) & ~known)
+        sources = nearest[rows]
+        closest = compute_closest_weights(shell.vertices[rows], given.vertices[given.triangles[sources]])
+        values[rows] = compute_surface_colors(given, sources, closest)
         known[rows] = True
     if known.all():
         return values

@@ -105,7 +105,7 @@ def resolve_intersections(shell: Shell, edge_length: float, cell_size: float) ->
     cell_size : edge length of the grid on which the surface is rebuilt if need be, metres.
     """
     united = _unite_components(shell)
-    refilled = _refill(united, edge_length)
+    refilled = refill(united, edge_length)
     if refilled is not None and refilled is not united:
         # Cutting can separate the sides of a thin wall, which caps then close wrongly.
         given = shell.select(shell.source >= 0).mesh
@@ -129,7 +129,7 @@ def measure_lost_ratio(given: Mesh, shell: Shell, distance: float) -> float:
     return float(areas[far].sum() / areas.sum())
 
 
-def _refill(shell: Shell, edge_length: float) -> Shell | None:
+def refill(shell: Shell, edge_length: float) -> Shell | None:
     """Cut out triangles that intersect others and fill the holes, in rounds; None if intersections remain."""
     for number in range(_MAX_ROUNDS):
         shell = _unite_components(shell)
@@ -148,6 +148,10 @@ def _refill(shell: Shell, edge_length: float) -> Shell | None:
             traced.mesh, build_edges(traced.mesh.triangles, len(traced.mesh.vertices))
         )
         source = shell.source[traced.triangle_source]
+        # All components with intersections were scraps.
+        if not loops:
+            shell = Shell(traced.mesh.vertices, traced.mesh.triangles, source)
+            continue
         points, triangles = make_caps(traced.mesh, loops, edge_length)
         shell = Shell(
             np.concatenate([traced.mesh.vertices, points]),
