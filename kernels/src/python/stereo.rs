@@ -118,8 +118,8 @@ fn copy_partner(given: &WarpedPartner<'_>, planes: usize, threads: usize) -> PyR
     if shown.as_array().shape() != grey.as_array().shape() || *maps.as_array().shape() != [planes, 3] {
         return Err(PyValueError::new_err("the mask or the maps of a partner do not match its image"));
     }
-    let grey = copy_values(&grey);
-    let shown = copy_values(&shown);
+    let grey = copy_values(grey);
+    let shown = copy_values(shown);
     let said = |i: usize| match shown[i] {
         0 => PixelContent::Outside,
         1 => PixelContent::Scene,
