@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from scanloom import certify, check, clean, read_mesh, write_mesh
@@ -67,6 +67,11 @@ def test_unions_of_boxes_and_balls_with_holes_become_solid(tmp_path_factory, see
     holes = mesh.vertices[rng.integers(len(mesh.vertices), size=hole_count)]
     if hole_count:
         mesh = cut_holes(mesh, holes, 0.2)
+        # Holes next to each other can leave a scrap between them, which is no object and is refused.
+        assume(
+            len(trimesh.Trimesh(mesh.vertices, mesh.triangles, process=False).split(only_watertight=False))
+            <= count
+        )
     solid = clean(mesh, solid=True, min_island_area=0)
     assert solid.diagnostics == ()
     volume = require_solid(solid.mesh, tmp_path_factory.mktemp("solid"))
