@@ -69,7 +69,7 @@ def _clear_part(
 
 def _measure_cut(part: ConvexPart, obstacle: ConvexPart, corners: Floats, clearance_m: float) -> Floats:
     """Return the heights (k,) of the corners of a part above the plane of a cut."""
-    own = collect_inner_points(part, corners)
+    own = _collect_inner_points(part, corners)
     plane = find_separating_plane(own, obstacle.vertices) if len(own) else None
     if plane is not None:
         return np.asarray(part.vertices @ plane[:3] + plane[3])
@@ -81,7 +81,7 @@ def _measure_cut(part: ConvexPart, obstacle: ConvexPart, corners: Floats, cleara
     return np.asarray(clearance_m - (part.vertices @ face[:3] + face[3]))
 
 
-def collect_inner_points(part: ConvexPart, corners: Floats) -> Floats:
+def _collect_inner_points(part: ConvexPart, corners: Floats) -> Floats:
     """Return points (k, 3) whose hull contains the surface of triangles (n, 3, 3) inside of a part."""
     low, high = part.vertices.min(axis=0), part.vertices.max(axis=0)
     corners = corners[((corners.min(axis=1) <= high) & (corners.max(axis=1) >= low)).all(axis=1)]

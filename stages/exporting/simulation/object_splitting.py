@@ -214,12 +214,11 @@ def _divide_at_plane(
         caps += closed[1]
         is_taken |= chosen
     objects = [
-        (measure_diagonal(one.mesh.vertices), build_solid(one.mesh).surface)
-        for one in (*known, *division.objects)
+        SolidDistance(build_solid(one.mesh).surface, is_solid=True) for one in (*known, *division.objects)
     ]
     for chosen, kind in left:
         points = shell.vertices[np.unique(shell.triangles[chosen])]
-        if any(_is_next_to(points, surface, _NEAR_RATIO * size) for size, surface in objects):
+        if any(_is_next_to(points, one) for one in objects):
             division.left["torn"] += 1
             is_taken |= chosen
         elif kind:
@@ -229,13 +228,13 @@ def _divide_at_plane(
     return division
 
 
-def _is_next_to(points: Floats, surface: Mesh, max_distance_m: float) -> bool:
-    """Return True if all points are inside of a closed surface, or near to it."""
-    low, high = surface.vertices.min(axis=0) - max_distance_m, surface.vertices.max(axis=0) + max_distance_m
+def _is_next_to(points: Floats, solid: SolidDistance) -> bool:
+    """Return True if all points are inside of a solid, or near to it."""
+    reach = _NEAR_RATIO * solid.diagonal_m
+    low, high = solid.corners.min(axis=(0, 1)) - reach, solid.corners.max(axis=(0, 1)) + reach
     if not ((points >= low) & (points <= high)).all():
         return False
-    excess = SolidDistance(surface, is_solid=True).measure_excess(points)
-    return bool(excess.max() <= max_distance_m)
+    return bool(solid.measure_excess(points).max() <= reach)
 
 
 def _cut_above(mesh: Mesh, plane: LevelPlane) -> _CutMesh:
